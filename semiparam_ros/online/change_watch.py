@@ -11,6 +11,7 @@ stand out, so that what was learnt stays that of the robot before the change.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -104,6 +105,34 @@ class Decision(NamedTuple):
 ASSUMED = 'taken off until it is named'
 TRIED, APPLIED, TAKEN_BACK = 'tried beside the model', 'applied', 'taken back'
 DROPPED, LEARNT = 'dropped, as nothing spoke for it', 'learnt, as no effect of the robot explains it'
+
+
+class Contacts:
+    """Stretches of motion [ns] that stood out and were over without a change: what touched the
+    robot then is no part of what its outputs are before and after a change."""
+
+    def __init__(self) -> None:
+        self.over: deque[tuple[int, int]] = deque(maxlen=MOST_RECORDS)
+        self._since: int | None = None
+
+    def see(self, block: MotionBlock, touched: bool, told: bool) -> None:
+        """One block is finished.
+
+        :param touched: whether it stands out. :param told: whether it was a change all the same.
+        """
+        if told:
+            self._since = None
+        elif touched:
+            began = block.start - (block.end - block.start)  # what stands out began a little before
+            self._since = began if self._since is None else self._since
+        elif self._since is not None:
+            self.over.append((self._since, block.end))
+            self._since = None
+
+    def reset(self) -> None:
+        """Forget them, as after a jump of the clock."""
+        self.over.clear()
+        self._since = None
 
 
 @dataclass(frozen=True)
@@ -262,7 +291,7 @@ class ChangeWatch:
         """Motion that was judged so far."""
         self._due: list[tuple[float, int]] = []
         """After how much motion [s] changes of these numbers are named next."""
-        self._naming = False
+        self._naming, self._contacts = False, Contacts()
         self._inputs: Inputs | None = None
         """How the samples of this robot are best prepared, once that is known."""
         self._now = 0
@@ -335,6 +364,7 @@ class ChangeWatch:
         """Drop what is half seen, as after a jump of the clock: what came before is no longer there
         to name a change from."""
         self.applied.reset()
+        self._contacts.reset()
         self._due = []
         if self.detector is not None:
             self.detector.reset()
@@ -349,6 +379,8 @@ class ChangeWatch:
         change = detector.see(*self._with_provisional(*part), self.applied.added, self.applied.spread)
         self._now = prediction.sample.stamp
         self._moved_s += BLOCK_S * (detector.finished is not None)
+        if detector.finished is not None:
+            self._contacts.see(detector.finished, detector.touched, change is not None)
         if change is not None:
             self._record(change)
         if detector.finished is not None and detector.knows:
@@ -547,6 +579,7 @@ class ChangeWatch:
             change.ended,
             self._inputs,
             tuple(self.applied.contributions),
+            tuple(self._contacts.over),
             done=partial(self._named, number),
             urgency=Urgency.ASKED,
         )

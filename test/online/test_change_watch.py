@@ -67,6 +67,19 @@ def test_a_cable_that_lets_go_as_soon_as_a_hand_is_no_change_though_it_was_appli
     assert 'over as soon as a contact is. It was taken back at ' in brief.sentence
 
 
+@pytest.mark.parametrize('newton', [15.0, 150.0])
+def test_a_load_is_named_though_a_hand_pushed_shortly_before(newton):
+    """The push would be most of what the outputs are before the load."""
+    (body, samples, mass), (_, undisturbed) = loaded(), free()
+    _, touched = pushed(start=60.0, seconds=4.0, newton=newton)
+    samples = replace(samples, outputs=samples.outputs + touched.outputs - undisturbed.outputs)
+    stage = offered(body, samples[samples.time < LOADED_S[0] + 14.0])
+    record = stage.changes[-1]
+    assert record.effect is not None, record.sentence
+    assert record.effect.kind == 'payload'
+    assert abs(record.named.parameters['mass'].value - mass) < 0.1 * mass
+
+
 def test_that_a_load_without_a_name_is_taken_off_is_said():
     body, samples, _ = loaded()
     record, decided = offered(
