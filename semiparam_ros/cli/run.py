@@ -22,7 +22,8 @@ def run(args: argparse.Namespace) -> int:
     ros_arguments = list(args.ros_args)
     if args.params is not None:
         check_file(args.params, ros_arguments)
-        ros_arguments += ['--ros-args', '--params-file', str(args.params)]
+        # before the rest: of two values of a parameter rcl takes the later one
+        ros_arguments = ['--ros-args', '--params-file', str(args.params), '--', *ros_arguments]
     gc.disable()  # what is loaded stays for good: to look through it meanwhile takes a tenth of the start
     from semiparam_ros.ros.estimator.process import run_estimator  # after the check, which then answers at once
 

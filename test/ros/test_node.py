@@ -350,6 +350,15 @@ def test_efforts_best_effort_publishers_and_a_late_description(quiet):
     assert node.stop(signal.SIGTERM) == 0 and 'Traceback' not in node.output
 
 
+@pytest.mark.parametrize('name', ['/**', 'estimator'])
+def test_a_value_of_the_command_line_counts_more_than_that_of_the_file(tmp_path, name):
+    """The file had the last word, and nobody said so."""
+    (tmp_path / 'p.yaml').write_text(f'{name}: {{ros__parameters: {{initial.samples: 1000, horizon.length: 7}}}}')
+    with NodeProcess(tmp_path, tmp_path / 'p.yaml', '-p', 'initial.samples:=300'), Client() as client:
+        values = client.get('initial.samples', 'horizon.length')
+        assert [value.integer_value for value in values] == [300, 7]
+
+
 @pytest.mark.parametrize(('text', 'sentence'), [
     ('estimator: {ros__parameters: {sensor_frame: ft, features.cuont: 3}}', "nearest is 'features.count'"),
     ('estimator: {ros__parameters: {outputs: wrench}}', 'sensor_frame is empty'),
