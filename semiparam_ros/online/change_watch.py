@@ -292,6 +292,8 @@ class ChangeWatch:
         self._due: list[tuple[float, int]] = []
         """After how much motion [s] changes of these numbers are named next."""
         self._naming, self._contacts = False, Contacts()
+        self._past = 0
+        """Number of the last change from before the clock jumped: stamps of those mean another time."""
         self._inputs: Inputs | None = None
         """How the samples of this robot are best prepared, once that is known."""
         self._now = 0
@@ -365,7 +367,7 @@ class ChangeWatch:
         to name a change from."""
         self.applied.reset()
         self._contacts.reset()
-        self._due = []
+        self._due, self._past = [], max(self.records, default=0)
         if self.detector is not None:
             self.detector.reset()
 
@@ -566,7 +568,7 @@ class ChangeWatch:
         others = [
             other.effect
             for key, other in self.records.items()
-            if key != number and other.effect is not None and not other.retracted
+            if self._past < key != number and other.effect is not None and not other.retracted
         ]
         self._naming = True
         declared = [effect for effect in effects if isinstance(effect, Effect)]

@@ -404,6 +404,7 @@ class Learner:
         """Forget everything learnt."""
         self.tare = Tare(self.body.n_outputs)
         self.changes.applied.clear()
+        self.changes.reset()
         self._begin(self.settings, model_jobs.new_estimator(self.settings, self.body, origin=self.history.origin))
 
     def restore(self, saved: SavedState) -> None:

@@ -211,6 +211,22 @@ def test_a_change_from_before_a_jump_of_the_clock_is_not_named_from_what_comes_a
     assert not stage.learner.changes.records[number].unnamed
 
 
+@pytest.mark.parametrize('again', ['clear_pending', 'reset'])
+def test_a_load_has_its_name_also_when_the_recording_is_played_again(again):
+    """That of the first time stood beside the model, so that no other one was needed."""
+    body, samples, mass = loaded()
+    samples = samples[(samples.time > 35.0) & (samples.time < LOADED_S[0] + 14.0)]
+    stage = offered(body, samples)
+    first = stage.changes[-1]
+    getattr(stage.learner, again)()
+    stage.offer(samples)
+    record = stage.changes[-1]
+    assert record.change.number > first.change.number
+    assert record.effect is not None, record.sentence
+    assert record.effect.kind == 'payload'
+    assert abs(record.named.parameters['mass'].value - mass) < 0.1 * mass
+
+
 def test_another_recording_begins_with_nothing_half_seen():
     """Its stamps may be those of an earlier day, so no change of the one before is over in it."""
     _, samples, _ = loaded()
