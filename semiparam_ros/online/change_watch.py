@@ -147,11 +147,13 @@ class ChangeRecord:
     """With ``diagnosis.auto: apply``, in their order."""
     unnamed: str = ''
     """A sentence why it could not be named when that was last tried."""
+    restored: Effect | None = None
+    """What it was by the state that was loaded, its times as stamps."""
 
     @property
     def effect(self) -> Effect | None:
         """What it is, its times as stamps."""
-        return None if self.named is None else self.named.effect
+        return self.restored if self.named is None else self.named.effect
 
     @property
     def retracted(self) -> bool:
@@ -172,7 +174,7 @@ class ChangeRecord:
     @property
     def was_applied(self) -> bool:
         """Whether the model was helped by it."""
-        return any(decision.what == APPLIED for decision in self.decisions)
+        return any(decision.what in (APPLIED, TAKEN_BACK) for decision in self.decisions)
 
     @property
     def times_s(self) -> tuple[float | None, float | None]:
@@ -217,13 +219,12 @@ class ChangeRecord:
             unnamed = f' It could not be named: {self.unnamed}' if self.unnamed else ''
             return (f'the robot has changed {since}{until} ({what}, felt by {felt}){asked}.'
                     f'{unnamed}{decided}')
-        assert self.named is not None
         values = ', '.join(
             f'{name} {value.value:.3g} +- {value.std or 0.0:.1g} {value.unit}'.rstrip()
-            for name, value in list(self.named.parameters.items())[:4]
+            for name, value in list(self.named.parameters.items() if self.named else ())[:4]
         )
-        what = place(effect.kind, effect.where)
-        return f'{what} {since}{until}: {effect.sentence} ({values}).{decided}'
+        what, values = place(effect.kind, effect.where), f' ({values})' if values else ''
+        return f'{what} {since}{until}: {effect.sentence}{values}.{decided}'
 
     def as_dict(self) -> dict[str, object]:
         """For the log; times in seconds as stamps count."""
@@ -322,11 +323,12 @@ class ChangeWatch:
     def sentence(self) -> str:
         """For people: what the latest change is while it lasts, and the state at any other time."""
         latest, state = self.latest, self.state
-        if latest is None:
-            return f'the robot: {state}.'
-        if state in STATES[4:] and latest.change.ended is None:
+        if latest is not None and state in STATES[4:] and latest.change.ended is None:
             return latest.sentence
-        return f'the robot: {state}. The latest change: {latest.sentence}'
+        there = [place(trial.effect.kind, trial.effect.where) for trial in self.applied.applied]
+        which = f' ({", ".join(there)})' if state == STATES[5] else ''
+        last = '' if latest is None else f' The latest change: {latest.sentence}'
+        return f'the robot: {state}{which}.{last}'
 
     @property
     def picked(self) -> tuple[bool, Load | None]:
@@ -434,9 +436,11 @@ class ChangeWatch:
     ) -> ChangeRecord:
         """That of an effect that comes again, or that was there before the node began."""
         effect = trial.effect
-        change = Change(number, since, now, effect.kind, effect.where, np.nan, np.nan, trial.score, ())
+        begun = since if trial.applied or known is not None else self.applied.begun(trial, since)
+        change = Change(number, begun, now, effect.kind, effect.where, np.nan, np.nan, trial.score, ())
         if known is None:
-            return ChangeRecord(change)
+            span = Span(start_stamp_s=begun / NANOSECONDS)
+            return ChangeRecord(change, restored=replace(effect, span=span))
         outputs, named = known.change.outputs, known.named
         if named is not None and named.effect is not None:
             span = Span(start_stamp_s=since / NANOSECONDS)
