@@ -45,8 +45,10 @@ def test_what_is_told_is_the_latest_change_while_it_lasts_and_else_the_state():
     assert watch.sentence.startswith(
         'the robot: as it was. The latest change: payload at r_gripper since '
     )
+    assert not stage.learner.disturbed
     stage.offer(samples[(samples.time >= 112.0) & (samples.time < 116.0)])
     assert watch.sentence.startswith('the robot: touched, or changing. The latest change: ')
+    assert stage.learner.disturbed, 'a tare would hold the touch'
 
 
 def test_a_cable_that_lets_go_as_soon_as_a_hand_is_no_change_though_it_was_applied():

@@ -197,7 +197,8 @@ class InputReport:
             return Report(WARN, f'nothing received on {", ".join(absent)} yet.{self._ignored()}{self._remedy(absent)}',
                           values)
         if silent:
-            return Report(WARN, f'nothing received on {", ".join(silent)} for more than {SILENCE_S:g} s.', values)
+            return Report(WARN, f'nothing received on {", ".join(silent)} for more than {SILENCE_S:g} s.'
+                                f'{self._ignored()}', values)
         if news:
             return Report(WARN, self._refusals(news), values)
         cold = [name for name, last in self._inputs.temperatures.items() if now - last > TEMPERATURE_SILENCE_S]
