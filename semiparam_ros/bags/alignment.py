@@ -145,6 +145,8 @@ class SampleStream:
         self.joints = tuple(joints)
         self.faults: Counter[str] = Counter()
         self.last_fault = self.last_ignored = ''
+        self.sentences: dict[str, str] = {}
+        """The last fault of each reason."""
         self.ignored = 0
         self._effort = outputs == 'effort'
         self._outputs = [index for index, name in enumerate(joints) if name in (output_joints or joints)]
@@ -314,7 +316,7 @@ class SampleStream:
 
     def _refuse(self, reason: str, sentence: str) -> list[Sample]:
         self.faults[reason] += 1
-        self.last_fault = shortened(sentence)
+        self.last_fault = self.sentences[reason] = shortened(sentence)
         return []
 
     def _append(self, track: Track, stamp: int, row: Array, what: str) -> None:

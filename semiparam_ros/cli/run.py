@@ -22,7 +22,8 @@ def run(args: argparse.Namespace) -> int:
     ros_arguments = list(args.ros_args)
     if args.params is not None:
         check_file(args.params, ros_arguments)
-        ros_arguments += ['--ros-args', '--params-file', str(args.params)]
+        # before the rest: of two values of a parameter rcl takes the later one
+        ros_arguments = ['--ros-args', '--params-file', str(args.params), '--', *ros_arguments]
     gc.disable()  # what is loaded stays for good: to look through it meanwhile takes a tenth of the start
     from semiparam_ros.ros.estimator.process import run_estimator  # after the check, which then answers at once
 
@@ -35,9 +36,11 @@ def check_file(path: Path, ros_arguments: Sequence[str]) -> None:
 
     Raises SemiparamError, naming the file.
     """
-    from semiparam_ros.settings.files import read_params
+    from semiparam_ros.settings.files import read_params, require_section
     from semiparam_ros.settings.snapshot import Settings
 
-    renamed = any(argument.startswith('__node:=') for argument in ros_arguments)
-    if not renamed:
+    given = dict(argument.split(':=', 1) for argument in ros_arguments if ':=' in argument)
+    node = given.get('__node', 'estimator')
+    require_section(path, f'/{given.get("__ns", "").strip("/")}/{node}'.replace('//', '/'))
+    if node == 'estimator':
         Settings().changed(read_params(path), where=str(path))

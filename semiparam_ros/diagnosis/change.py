@@ -22,6 +22,7 @@ from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array, Mask
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
+from semiparam_ros.diagnosis.data.outliers import excluded
 from semiparam_ros.diagnosis.data.splits import block_sums
 from semiparam_ros.diagnosis.evaluation import EvaluationFigures, evaluate_here
 from semiparam_ros.diagnosis.findings import Quantity
@@ -114,6 +115,7 @@ def name_change(
     inputs: Inputs | None = None,
     config: DiagnosisConfig = DEFAULTS,
     touched_s: float | None = None,
+    contacts: Sequence[tuple[float, float]] = (),
 ) -> NamedChange:
     """Find what began near ``since_s`` [s since the origin of the samples], and was over near
     ``ended_s``.
@@ -121,11 +123,15 @@ def name_change(
     :param effects: those that the model holds, declared or named before.
     :param inputs: how the samples are prepared; chosen anew, which takes most of the time, unless
         given. :param touched_s: since when a contact stood out that it may have been.
+    :param contacts: [s] between which the robot was touched, which is left out.
 
     Raises SemiparamError when too few samples are left to work with.
     """
     touched_s = since_s if touched_s is None else min(touched_s, since_s)
-    fit, inputs, changed = _first_fit(body, samples, effects, touched_s, inputs, config)
+    clean = ~excluded(samples, config)
+    for first, last in contacts:
+        clean &= (samples.time < first) | (samples.time > last)
+    fit, inputs, changed = _first_fit(body, samples, effects, touched_s, inputs, config, clean)
     tried = _ranked(fit, fit.effects[: len(effects)], (touched_s, since_s), ended_s)
     best = _likeliest(tried)
     after, parameters = fit, dict[str, Quantity]()
@@ -232,12 +238,18 @@ def _first_fit(
     since_s: float,
     inputs: Inputs | None,
     config: DiagnosisConfig,
+    clean: Mask,
 ) -> tuple[Fit, Inputs, Mask]:
     """The model that is declared, how its samples were prepared, and which (N,) came after the
-    change."""
+    change.
+
+    :param clean: (N,) the samples that may be used.
+    """
     effects = [*(effect.in_recording(samples.origin) for effect in effects), *_friction(body)]
     everything = np.ones(len(samples), dtype=bool)
-    inputs, chosen, used, counted = prepared(body, samples, effects, everything, config, inputs)
+    inputs, chosen, used, counted = prepared(
+        body, samples, effects, everything, config, inputs, clean
+    )
     changed = np.asarray(chosen.time >= since_s)
     require_enough(config, used & ~changed, used)
     return starting_fit(body, chosen, effects, used, config, counted), inputs, changed

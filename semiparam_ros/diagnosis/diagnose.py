@@ -18,7 +18,7 @@ from semiparam_ros.diagnosis.data.splits import interleaved_split, ranges
 from semiparam_ros.diagnosis.evaluation import Evaluation, evaluate_here, evaluate_there
 from semiparam_ros.diagnosis.findings import Finding, declared_findings, findings, places_in
 from semiparam_ros.diagnosis.imitations import function_explains_more
-from semiparam_ros.diagnosis.preparation import Inputs, late, prepared, require_enough, too_fast
+from semiparam_ros.diagnosis.preparation import Inputs, bursts, late, prepared, require_enough, too_fast
 from semiparam_ros.diagnosis.regression import Fit
 from semiparam_ros.diagnosis.residual.contacts import Contact, contacts
 from semiparam_ros.diagnosis.residual.noise import noise_floor
@@ -341,7 +341,8 @@ def verdict(first: Fit, final: Fit, structure: Structure | None, unexplained: bo
 def _notes(samples: Samples, start: _Start, found: list[Finding]) -> list[str]:
     """Doubts that are said beside the result."""
     config = start.first.config
-    return [*late(start.inputs, samples), *unidentifiable(start.first.body, samples, config), *_left_out(start.clean),
+    stamps = bursts(samples, config) or late(start.inputs, samples)
+    return [*stamps, *unidentifiable(start.first.body, samples, config), *_left_out(start.clean),
             *_changed_in_gaps(found, samples, config)]
 
 

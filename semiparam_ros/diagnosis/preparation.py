@@ -21,7 +21,7 @@ from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.signals.smoothing import acceleration_errors, smoothed, smoothed_again
 from semiparam_ros.core.types import Array, Mask
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
-from semiparam_ros.diagnosis.data.outliers import excluded, working_factor
+from semiparam_ros.diagnosis.data.outliers import excluded, typical_step, working_factor
 from semiparam_ros.diagnosis.data.rest import counted_outputs
 from semiparam_ros.diagnosis.data.splits import block_sums
 from semiparam_ros.diagnosis.regression import Fit, fit_model, refit_weights
@@ -244,6 +244,24 @@ def late(inputs: Inputs, samples: Samples) -> list[str]:
             sentences.append(f'The {name} come {1e3 * lag:.1f} ms after the motion of the positions, as a filter makes '
                              f'them: publish them unfiltered, or {remedy}. {here}')
     return sentences
+
+
+def bursts(samples: Samples, config: DiagnosisConfig = DEFAULTS) -> list[str]:
+    """A sentence where many stamps are those of messages that arrived together: a sample a short step after another
+    one lies as far from it, by the velocities, as after any other step."""
+    steps, velocity = np.diff(samples.time), samples.velocity
+    typical, between = typical_step(samples.time), 0.5 * (velocity[1:] + velocity[:-1])
+    short = (steps > 0.0) & (steps < config.most * typical)
+    if short.sum() < config.least_working_samples:
+        return []
+    weight = np.sum(between[short] ** 2, axis=1)
+    moved = float(np.sum(np.diff(samples.position, axis=0)[short] * between[short]))
+    stamped, regular = float(weight @ steps[short]), typical * float(weight.sum())
+    if moved - stamped < config.most * (regular - stamped):
+        return []
+    return [f'The stamps come in bursts: {short.sum()} samples are stamped less than {1e3 * config.most * typical:.1f}'
+            f' ms after the one before, though the joints moved on as in {1e3 * typical:.1f} ms. Have the driver stamp '
+            'when it measures, not when a message arrives: the accelerations are off, and so is what was found.']
 
 
 def most_samples(rate_hz: float, config: DiagnosisConfig = DEFAULTS) -> int:

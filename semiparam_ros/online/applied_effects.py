@@ -197,6 +197,15 @@ class AppliedEffects:
         """That of the change with a number."""
         return next((trial for trial in self.trials if trial.number == number), None)
 
+    def begun(self, trial: KnownEffect, otherwise: int) -> int:
+        """[ns] since when it has been taken off, or was last; ``otherwise`` where that is not known."""
+        starts = [
+            effect.span.start_stamp_s
+            for effect, values in self.contributions
+            if effect.without_span() == trial.effect and np.array_equal(values, trial.coefficients)
+        ]
+        return otherwise if not starts or starts[-1] is None else round(starts[-1] * NANOSECONDS)
+
     def offer(
         self, number: int, effect: Effect, coefficients: Array, std: Array, now: int
     ) -> bool:

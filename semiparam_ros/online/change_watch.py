@@ -11,6 +11,7 @@ stand out, so that what was learnt stays that of the robot before the change.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -106,6 +107,34 @@ TRIED, APPLIED, TAKEN_BACK = 'tried beside the model', 'applied', 'taken back'
 DROPPED, LEARNT = 'dropped, as nothing spoke for it', 'learnt, as no effect of the robot explains it'
 
 
+class Contacts:
+    """Stretches of motion [ns] that stood out and were over without a change: what touched the
+    robot then is no part of what its outputs are before and after a change."""
+
+    def __init__(self) -> None:
+        self.over: deque[tuple[int, int]] = deque(maxlen=MOST_RECORDS)
+        self._since: int | None = None
+
+    def see(self, block: MotionBlock, touched: bool, told: bool) -> None:
+        """One block is finished.
+
+        :param touched: whether it stands out. :param told: whether it was a change all the same.
+        """
+        if told:
+            self._since = None
+        elif touched:
+            began = block.start - (block.end - block.start)  # what stands out began a little before
+            self._since = began if self._since is None else self._since
+        elif self._since is not None:
+            self.over.append((self._since, block.end))
+            self._since = None
+
+    def reset(self) -> None:
+        """Forget them, as after a jump of the clock."""
+        self.over.clear()
+        self._since = None
+
+
 @dataclass(frozen=True)
 class ChangeRecord:
     """All that is known of one change; ``named`` is what
@@ -118,21 +147,22 @@ class ChangeRecord:
     """With ``diagnosis.auto: apply``, in their order."""
     unnamed: str = ''
     """A sentence why it could not be named when that was last tried."""
+    restored: Effect | None = None
+    """What it was by the state that was loaded, its times as stamps."""
 
     @property
     def effect(self) -> Effect | None:
         """What it is, its times as stamps."""
-        return None if self.named is None else self.named.effect
+        return self.restored if self.named is None else self.named.effect
 
     @property
     def retracted(self) -> bool:
         """Whether it was no change after all: no effect explains it better than none, or it was
         over as soon as a contact is and no load."""
         effect = self.effect
-        if self.was_applied:
-            return False
         if effect is None:
-            return self.brief or (self.named is not None and bool(self.change.kind))
+            unexplained = self.brief or (self.named is not None and bool(self.change.kind))
+            return unexplained and not self.was_applied
         return self.brief and not effect.is_load
 
     @property
@@ -144,7 +174,7 @@ class ChangeRecord:
     @property
     def was_applied(self) -> bool:
         """Whether the model was helped by it."""
-        return any(decision.what == APPLIED for decision in self.decisions)
+        return any(decision.what in (APPLIED, TAKEN_BACK) for decision in self.decisions)
 
     @property
     def times_s(self) -> tuple[float | None, float | None]:
@@ -175,10 +205,11 @@ class ChangeRecord:
         begun, ended = self.times_s
         since = f'since {begun:.2f} s' if begun is not None else 'from before'
         until = '' if ended is None else f', over at {ended:.2f} s'
+        decided = f' It was {self.decisions[-1].sentence}.' if self.decisions else ''
         if self.retracted:
             brief = change.ended is not None
             why = 'it was over as soon as a contact is' if brief else 'no effect explains it'
-            return f'the robot has not changed {since}{until}: {why}.'
+            return f'the robot has not changed {since}{until}: {why}.{decided}'
         if effect is None:
             what = (
                 f'likeliest {place(change.kind, change.where)}' if change.kind else 'nothing known'
@@ -186,15 +217,14 @@ class ChangeRecord:
             asked = '' if self.named is None else '; no effect explains it better than none'
             felt = ', '.join(change.outputs[:3])
             unnamed = f' It could not be named: {self.unnamed}' if self.unnamed else ''
-            return f'the robot has changed {since}{until} ({what}, felt by {felt}){asked}.{unnamed}'
-        assert self.named is not None
+            return (f'the robot has changed {since}{until} ({what}, felt by {felt}){asked}.'
+                    f'{unnamed}{decided}')
         values = ', '.join(
             f'{name} {value.value:.3g} +- {value.std or 0.0:.1g} {value.unit}'.rstrip()
-            for name, value in list(self.named.parameters.items())[:4]
+            for name, value in list(self.named.parameters.items() if self.named else ())[:4]
         )
-        decided = f' It was {self.decisions[-1].sentence}.' if self.decisions else ''
-        what = place(effect.kind, effect.where)
-        return f'{what} {since}{until}: {effect.sentence} ({values}).{decided}'
+        what, values = place(effect.kind, effect.where), f' ({values})' if values else ''
+        return f'{what} {since}{until}: {effect.sentence}{values}.{decided}'
 
     def as_dict(self) -> dict[str, object]:
         """For the log; times in seconds as stamps count."""
@@ -262,7 +292,9 @@ class ChangeWatch:
         """Motion that was judged so far."""
         self._due: list[tuple[float, int]] = []
         """After how much motion [s] changes of these numbers are named next."""
-        self._naming = False
+        self._naming, self._contacts = False, Contacts()
+        self._past = 0
+        """Number of the last change from before the clock jumped: stamps of those mean another time."""
         self._inputs: Inputs | None = None
         """How the samples of this robot are best prepared, once that is known."""
         self._now = 0
@@ -280,6 +312,23 @@ class ChangeWatch:
         if self.applied.applied:
             return STATES[5]
         return STATES[2] if detector.knows else STATES[1]
+
+    @property
+    def latest(self) -> ChangeRecord | None:
+        """That of the change noticed last; None before any."""
+        records = self.records.values()
+        return max(records, key=lambda record: record.change.number, default=None)
+
+    @property
+    def sentence(self) -> str:
+        """For people: what the latest change is while it lasts, and the state at any other time."""
+        latest, state = self.latest, self.state
+        if latest is not None and state in STATES[4:] and latest.change.ended is None:
+            return latest.sentence
+        there = [place(trial.effect.kind, trial.effect.where) for trial in self.applied.applied]
+        which = f' ({", ".join(there)})' if state == STATES[5] else ''
+        last = '' if latest is None else f' The latest change: {latest.sentence}'
+        return f'the robot: {state}{which}.{last}'
 
     @property
     def picked(self) -> tuple[bool, Load | None]:
@@ -319,7 +368,8 @@ class ChangeWatch:
         """Drop what is half seen, as after a jump of the clock: what came before is no longer there
         to name a change from."""
         self.applied.reset()
-        self._due = []
+        self._contacts.reset()
+        self._due, self._past = [], max(self.records, default=0)
         if self.detector is not None:
             self.detector.reset()
 
@@ -333,6 +383,8 @@ class ChangeWatch:
         change = detector.see(*self._with_provisional(*part), self.applied.added, self.applied.spread)
         self._now = prediction.sample.stamp
         self._moved_s += BLOCK_S * (detector.finished is not None)
+        if detector.finished is not None:
+            self._contacts.see(detector.finished, detector.touched, change is not None)
         if change is not None:
             self._record(change)
         if detector.finished is not None and detector.knows:
@@ -384,9 +436,11 @@ class ChangeWatch:
     ) -> ChangeRecord:
         """That of an effect that comes again, or that was there before the node began."""
         effect = trial.effect
-        change = Change(number, since, now, effect.kind, effect.where, np.nan, np.nan, trial.score, ())
+        begun = since if trial.applied or known is not None else self.applied.begun(trial, since)
+        change = Change(number, begun, now, effect.kind, effect.where, np.nan, np.nan, trial.score, ())
         if known is None:
-            return ChangeRecord(change)
+            span = Span(start_stamp_s=begun / NANOSECONDS)
+            return ChangeRecord(change, restored=replace(effect, span=span))
         outputs, named = known.change.outputs, known.named
         if named is not None and named.effect is not None:
             span = Span(start_stamp_s=since / NANOSECONDS)
@@ -516,7 +570,7 @@ class ChangeWatch:
         others = [
             other.effect
             for key, other in self.records.items()
-            if key != number and other.effect is not None and not other.retracted
+            if self._past < key != number and other.effect is not None and not other.retracted
         ]
         self._naming = True
         declared = [effect for effect in effects if isinstance(effect, Effect)]
@@ -529,6 +583,7 @@ class ChangeWatch:
             change.ended,
             self._inputs,
             tuple(self.applied.contributions),
+            tuple(self._contacts.over),
             done=partial(self._named, number),
             urgency=Urgency.ASKED,
         )

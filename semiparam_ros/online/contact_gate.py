@@ -360,7 +360,9 @@ class ContactGate:
                 self.reset()
             return False
         stamp = prediction.sample.stamp
-        seconds, self._newest = observed_s(stamp, self._newest), stamp
+        seconds = observed_s(stamp, self._newest)
+        self._pass_over(stamp, seconds)
+        self._newest = stamp
         moving, at = self._follow_speed(prediction, seconds)
         innovation = prediction.sample.outputs - prediction.model_mean
         seen = self._beside_usual(prediction, innovation, at, seconds)
@@ -380,6 +382,15 @@ class ContactGate:
         self._rest(innovation, seconds, moving)
         self._learn_usual(seen, at, familiar, seconds)
         return False
+
+    def _pass_over(self, stamp: int, seconds: float) -> None:
+        """Time in which nothing was observed, as before a restart, is none that a contact lasts."""
+        if self._newest is None or not self.closed:
+            return
+        unobserved = max(stamp - self._newest - round(seconds * NANOSECONDS), 0)
+        self._closed_since += unobserved
+        if self._calm_since is not None:
+            self._calm_since += unobserved
 
     def _beside_usual(self, prediction: Prediction, innovation: Array, at: int,
                       seconds: float) -> BesideUsual:

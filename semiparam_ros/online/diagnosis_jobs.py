@@ -99,11 +99,13 @@ def name_change(
     ended: int | None,
     inputs: Inputs | None,
     taken_off: Sequence[Contribution],
+    contacts: Sequence[tuple[int, int]] = (),
 ) -> NamedChange:
     """Name what began between two stamps [ns], and ended at another; times of the effect as stamps.
     See :func:`~semiparam_ros.diagnosis.change.name_change`.
 
-    :param taken_off: what was taken off the samples before they were kept.
+    :param taken_off: what was taken off the samples before they were kept. :param contacts: stamps
+        [ns] between which the robot was touched.
     """
     from semiparam_ros.diagnosis.change import name_change
 
@@ -113,7 +115,10 @@ def name_change(
     samples, origin = as_measured(body, samples, taken_off), samples.origin
     touched_s, since_s = ((stamp - origin) * 1e-9 for stamp in since)
     ended_s = None if ended is None else (ended - origin) * 1e-9
-    found = name_change(body, samples, effects, since_s, ended_s, inputs, touched_s=touched_s)
+    touches = [((first - origin) * 1e-9, (last - origin) * 1e-9) for first, last in contacts]
+    found = name_change(
+        body, samples, effects, since_s, ended_s, inputs, touched_s=touched_s, contacts=touches
+    )
     return found if found.effect is None else replace(found, effect=found.effect.at_stamps(origin))
 
 

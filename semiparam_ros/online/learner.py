@@ -25,7 +25,7 @@ from semiparam_ros.core.samples import Sample
 from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online import model_jobs
-from semiparam_ros.online.change_watch import ChangeRecord, ChangeWatch
+from semiparam_ros.online.change_watch import QUIET, ChangeRecord, ChangeWatch
 from semiparam_ros.online.compensation import Compensation, bodies_and_bias
 from semiparam_ros.online.contact_gate import ContactGate, standardised_innovation
 from semiparam_ros.online.history import History, SampleBatch
@@ -400,10 +400,16 @@ class Learner:
         return (f'{settings.variant} is being built from {len(self.history)} samples; {self.built.variant} answers '
                 'until it takes over, between two samples.')
 
+    @property
+    def disturbed(self) -> bool:
+        """Whether the outputs show more than the model holds: a contact, or a change."""
+        return self.gate.closed or self.changes.state not in QUIET
+
     def reset(self) -> None:
         """Forget everything learnt."""
         self.tare = Tare(self.body.n_outputs)
         self.changes.applied.clear()
+        self.changes.reset()
         self._begin(self.settings, model_jobs.new_estimator(self.settings, self.body, origin=self.history.origin))
 
     def restore(self, saved: SavedState) -> None:

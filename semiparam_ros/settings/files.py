@@ -99,7 +99,8 @@ def params_text(settings: Settings | None, node: str = 'estimator',
     :param settings: None for the defaults.
     :param remarks: by the name of a parameter that is a list of texts, lines of comment above each of its items.
     """
-    lines = [f'{node}:', '  ros__parameters:']
+    section = node if node.startswith('/') else f'/**/{node}'  # in every namespace
+    lines = [f'{section}:', '  ros__parameters:']
     groups: dict[str, list[Parameter]] = {}
     for parameter in PARAMETERS:
         groups.setdefault(parameter.name.rpartition('.')[0], []).append(parameter)
@@ -150,6 +151,22 @@ def _applies(section: str, node: str) -> bool:
     """Tell whether ROS hands a section to the node: by its name in any namespace, or a wildcard."""
     name = section.rstrip('/').rpartition('/')[2]
     return name in ('**', '*', node) or section.lstrip('/') == node.lstrip('/')
+
+
+def require_section(path: str | Path, full_name: str) -> None:
+    """Raise SemiparamError where ROS hands no section of a parameter file to the node of a full name
+    (``/left/estimator``): it would start with the defaults, and not say so."""
+    sections = [str(name) for name in _parse(Path(path))]
+    if not any(_fits(section, full_name) for section in sections):
+        raise SemiparamError(f"{path}: ROS gives no section to the node {full_name} (found: {', '.join(sections)}); "
+                             f"expected '{full_name}:' or '/**:'.")
+
+
+def _fits(section: str, full_name: str) -> bool:
+    """Whether a section is a node's: a star is one name, two are any number of them."""
+    stars = {'*': '/[^/]+', '**': '(/[^/]+)*'}
+    tokens = section.strip('/').split('/')
+    return re.fullmatch(''.join(stars.get(token, '/' + re.escape(token)) for token in tokens), full_name) is not None
 
 
 def _section(body: object, name: str, path: str) -> dict[str, object]:

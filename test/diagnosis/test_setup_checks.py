@@ -18,7 +18,7 @@ from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.signals.differentiation import CausalDifferentiator
 from semiparam_ros.diagnosis.data.outliers import excluded, working_factor
 from semiparam_ros.diagnosis.diagnose import diagnose
-from semiparam_ros.diagnosis.preparation import Inputs, late, measured_lags
+from semiparam_ros.diagnosis.preparation import Inputs, bursts, late, measured_lags
 from semiparam_ros.diagnosis.setup.checks import setup_problems
 from semiparam_ros.diagnosis.setup.identifiability import unidentifiable
 from semiparam_ros.simulation.scenario import EffectRequest, Scenario
@@ -365,6 +365,40 @@ def test_velocities_that_a_filter_made_late_are_said_to_be_late(rate):
     lag = float(sentence.partition('The velocities come ')[2].partition(' ms')[0]) * 1e-3
     assert lag == pytest.approx(0.18, abs=0.05)
     assert f'velocity_filter{{"time_constant_s": {lag:.2g}}}' in sentence and 'as much earlier' in sentence
+
+
+def arrived_together(samples, count=10, every=100):
+    """Every so many samples ``count`` of them are stamped when the last one arrives."""
+    stamps = samples.stamps.copy()
+    for first in range(every, len(stamps) - count, every):
+        stamps[first:first + count] = stamps[first + count - 1] + 200_000 * np.arange(1 - count, 1)
+    return replace(samples, stamps=stamps)
+
+
+@pytest.mark.parametrize('rate', [50.0, 500.0])
+def test_stamps_of_arrival_are_said_to_come_in_bursts(rate):
+    _, samples = simulated('effort', rate_hz=rate)
+    assert bursts(samples) == []
+    uneven = np.sort(np.random.default_rng(0).choice(1000, 750, replace=False))
+    assert bursts(samples[uneven]) == [], 'samples that are missing'
+    sentence, = bursts(arrived_together(samples))
+    assert sentence.startswith('The stamps come in bursts: 81 samples are stamped less than ')
+
+
+@pytest.mark.filterwarnings('error')
+def test_a_diagnosis_of_stamps_of_arrival_says_so_and_finds_no_late_velocities():
+    """An elbow was said to be touched with two million N m, and the velocities to be late."""
+    body, samples = simulated('effort', rate_hz=50.0)
+    found = diagnose(body, arrived_together(samples), only=['viscous_friction'])
+    assert found.notes[0].startswith('The stamps come in bursts: ')
+    assert not any('come' in note and 'after the motion' in note for note in found.notes)
+
+
+def test_jitter_that_the_states_share_is_no_burst():
+    """A scheduler's: the state is measured when it is stamped."""
+    _, dense = simulated('effort', rate_hz=1000.0, samples=20_000)
+    steps = np.random.default_rng(1).choice([2, 10, 18], 1900)
+    assert bursts(dense[np.cumsum(steps)]) == []
 
 
 def test_accelerations_that_the_package_filters_itself_are_not_said_to_be_published():

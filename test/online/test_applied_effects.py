@@ -198,6 +198,27 @@ def test_what_is_applied_is_saved_with_the_model_and_goes_on(tmp_path):
     np.testing.assert_array_equal(*answers)
 
 
+def test_that_a_load_of_a_state_that_was_loaded_is_put_down_is_told(tmp_path):
+    """It was 'the robot has not changed: it was over as soon as a contact is'."""
+    body, samples, _ = loaded()
+    saved_s = LOADED_S[0] + 10.0
+    stage = offered(body, samples[samples.time < saved_s], diagnosis_auto='apply')
+    settings = stage.learner.settings
+    state_file.save(tmp_path / 's.npz', stage.learner.state())
+    other = offered(body, samples[:20], diagnosis_auto='apply')
+    other.learner.restore(state_file.load(tmp_path / 's.npz', settings, body))
+    other.offer(samples[(samples.time >= saved_s) & (samples.time < LOADED_S[1])])
+    sentence = other.learner.changes.sentence
+    assert sentence == 'the robot: changed, and allowed for (payload at r_gripper).'
+    other.offer(samples[(samples.time >= LOADED_S[1]) & (samples.time < LOADED_S[1] + 1.5)])
+    told = other.changes[0]
+    begun, ended = (stamp_s - samples.origin * 1e-9 for stamp_s in told.times_s)
+    assert abs(begun - LOADED_S[0]) < 10.0, 'since it was applied'
+    assert abs(ended - LOADED_S[1]) < 0.3
+    assert told.sentence.startswith('payload at r_gripper since ')
+    assert 'It was taken back at ' in told.sentence
+
+
 def test_desired_states_and_the_samples_as_measured_hold_what_is_applied():
     body, samples = free()
     link = last_link(body)

@@ -9,9 +9,9 @@ from semiparam_ros.diagnosis.change import name_change
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.experiments.evaluation import OfflineLearner
 from semiparam_ros.online import change_watch
-from semiparam_ros.online.change_watch import APPLIED, ASSUMED, TRIED
+from semiparam_ros.online.change_watch import APPLIED, ASSUMED, TAKEN_BACK, TRIED, Decision
 from semiparam_ros.online.diagnosis_jobs import name_change as name_in_background
-from support.changing_arm import LOADED_S, SETTINGS, described, free, loaded, offered, pushed
+from support.changing_arm import LOADED_S, SETTINGS, caught, described, free, loaded, offered, pushed
 from support.learner_stage import Stage
 from support.node_helpers import InlineBackground
 
@@ -33,6 +33,62 @@ def test_a_load_is_named_soon_and_again_as_more_comes_until_it_is_put_down():
     assert last.sentence.startswith('payload at r_gripper since ')
     assert 'over at' in last.sentence
     assert stage.learner.changes.state == 'as it was'
+
+
+def test_what_is_told_is_the_latest_change_while_it_lasts_and_else_the_state():
+    (body, samples, _), (_, undisturbed), (_, touched) = loaded(), free(), pushed(start=115.0)
+    samples = replace(samples, outputs=samples.outputs + touched.outputs - undisturbed.outputs)
+    stage = offered(body, samples[samples.time < LOADED_S[0] + 8.0])
+    watch = stage.learner.changes
+    assert watch.sentence.startswith('payload at r_gripper since ')
+    stage.offer(samples[(samples.time >= LOADED_S[0] + 8.0) & (samples.time < 112.0)])
+    assert watch.sentence.startswith(
+        'the robot: as it was. The latest change: payload at r_gripper since '
+    )
+    assert not stage.learner.disturbed
+    stage.offer(samples[(samples.time >= 112.0) & (samples.time < 116.0)])
+    assert watch.sentence.startswith('the robot: touched, or changing. The latest change: ')
+    assert stage.learner.disturbed, 'a tare would hold the touch'
+
+
+def test_a_cable_that_lets_go_as_soon_as_a_hand_is_no_change_though_it_was_applied():
+    body, samples = caught()
+    record = offered(body, samples[samples.time < 84.0], diagnosis_auto='apply').changes[-1]
+    assert record.effect is not None
+    assert not record.effect.is_load
+    assert record.was_applied
+    since = record.change.since
+    over = Decision(TAKEN_BACK, since + 3_000_000_000, 20.0, 0.9)
+    brief = replace(
+        record,
+        change=record.change._replace(ended=since + 2_000_000_000),
+        decisions=(*record.decisions, over),
+    )
+    assert brief.retracted
+    assert brief.sentence.startswith('the robot has not changed since ')
+    assert 'over as soon as a contact is. It was taken back at ' in brief.sentence
+
+
+@pytest.mark.parametrize('newton', [15.0, 150.0])
+def test_a_load_is_named_though_a_hand_pushed_shortly_before(newton):
+    """The push would be most of what the outputs are before the load."""
+    (body, samples, mass), (_, undisturbed) = loaded(), free()
+    _, touched = pushed(start=60.0, seconds=4.0, newton=newton)
+    samples = replace(samples, outputs=samples.outputs + touched.outputs - undisturbed.outputs)
+    stage = offered(body, samples[samples.time < LOADED_S[0] + 14.0])
+    record = stage.changes[-1]
+    assert record.effect is not None, record.sentence
+    assert record.effect.kind == 'payload'
+    assert abs(record.named.parameters['mass'].value - mass) < 0.1 * mass
+
+
+def test_that_a_load_without_a_name_is_taken_off_is_said():
+    body, samples, _ = loaded()
+    record, decided = offered(
+        body, samples[samples.time < LOADED_S[0] + 4.0], diagnosis_auto='apply'
+    ).changes
+    assert record.sentence != decided.sentence
+    assert 'It was taken off until it is named at ' in decided.sentence
 
 
 def test_a_record_is_machine_readable_and_says_what_the_errors_would_have_been():
@@ -168,6 +224,22 @@ def test_a_change_from_before_a_jump_of_the_clock_is_not_named_from_what_comes_a
     stage.offer(replace(later, stamps=later.stamps - round(3600e9)))
     assert all(since < samples.stamps[0] for since in asked)
     assert not stage.learner.changes.records[number].unnamed
+
+
+@pytest.mark.parametrize('again', ['clear_pending', 'reset'])
+def test_a_load_has_its_name_also_when_the_recording_is_played_again(again):
+    """That of the first time stood beside the model, so that no other one was needed."""
+    body, samples, mass = loaded()
+    samples = samples[(samples.time > 35.0) & (samples.time < LOADED_S[0] + 14.0)]
+    stage = offered(body, samples)
+    first = stage.changes[-1]
+    getattr(stage.learner, again)()
+    stage.offer(samples)
+    record = stage.changes[-1]
+    assert record.change.number > first.change.number
+    assert record.effect is not None, record.sentence
+    assert record.effect.kind == 'payload'
+    assert abs(record.named.parameters['mass'].value - mass) < 0.1 * mass
 
 
 def test_another_recording_begins_with_nothing_half_seen():

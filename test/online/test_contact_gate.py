@@ -188,6 +188,17 @@ def test_what_no_force_at_a_link_brings_about_counts_half(sigmas, by_friction):
         assert stand.judge(sigmas * SCALES * np.array([shape] * 3)).any(), 'either is large'
 
 
+def test_time_without_samples_is_none_that_a_contact_lasts():
+    """A node that was ended in a contact, and started again a minute later, took it for a change."""
+    stand = Stand()
+    stand.judge(white(RATE_HZ * 30))
+    assert stand.judge(white(RATE_HZ, 1) + 60.0 * SCALES)[-1]
+    stand.stamp += 60 * 10**9
+    assert stand.judge(white(2 * RATE_HZ, 2) + 60.0 * SCALES).all()
+    assert not stand.judge(white(2 * RATE_HZ, 3))[-1], 'it was a contact'
+    assert stand.gate.changes == 0
+
+
 def test_without_a_timeout_it_stays_closed():
     stand = Stand(replace(ON, gate_timeout=0.0))
     stand.judge(white(RATE_HZ * 60))

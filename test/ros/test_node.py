@@ -350,6 +350,27 @@ def test_efforts_best_effort_publishers_and_a_late_description(quiet):
     assert node.stop(signal.SIGTERM) == 0 and 'Traceback' not in node.output
 
 
+@pytest.mark.parametrize('name', ['/**', '/**/estimator', '/apart/estimator'])
+def test_a_value_of_the_command_line_counts_more_than_that_of_the_file(tmp_path, name):
+    """The file had the last word, and nobody said so."""
+    (tmp_path / 'p.yaml').write_text(f'{name}: {{ros__parameters: {{initial.samples: 1000, horizon.length: 7}}}}')
+    given = '-p', 'initial.samples:=300', '-r', '__ns:=/apart'
+    with NodeProcess(tmp_path, tmp_path / 'p.yaml', *given), Client(namespace='/apart') as client:
+        values = client.get('initial.samples', 'horizon.length')
+        assert [value.integer_value for value in values] == [300, 7]
+
+
+def test_a_file_that_ros_would_not_give_to_the_node_is_refused(tmp_path):
+    """A node in a namespace started with the defaults."""
+    (tmp_path / 'p.yaml').write_text('estimator: {ros__parameters: {initial.samples: 1000}}')
+    command = [sys.executable, '-m', 'semiparam_ros.cli.main', 'run', '--params', tmp_path / 'p.yaml']
+    result = subprocess.run([*command, '--ros-args', '-r', '__ns:=/left'], capture_output=True, text=True, timeout=60,
+                            check=False)
+    assert result.returncode == 2
+    assert result.stderr.endswith("p.yaml: ROS gives no section to the node /left/estimator (found: estimator); "
+                                  "expected '/left/estimator:' or '/**:'.\n")
+
+
 @pytest.mark.parametrize(('text', 'sentence'), [
     ('estimator: {ros__parameters: {sensor_frame: ft, features.cuont: 3}}', "nearest is 'features.count'"),
     ('estimator: {ros__parameters: {outputs: wrench}}', 'sensor_frame is empty'),

@@ -89,3 +89,36 @@ def test_messages_of_any_size_leave_nothing_behind(start_node):
         assert not result.successful, next(iter(value))[:20]
         assert 0 < len(result.reason) < 700
     assert all(len(line) < 1000 for line in node.output.splitlines())
+
+
+def test_every_reason_of_a_refusal_is_told_and_not_its_last_consequence_alone(start_node):
+    """A NaN in the joint states showed as wrenches that have no joint state."""
+    _, client = start_node(replace(SETTINGS, variant='P'))
+    client.offer('joint_states', 'wrench')
+    another = client.node.create_publisher(JointState, client.outputs['joint_states'].topic, 10)
+    samples = motion(60)
+
+    def told():
+        return [
+            status.message
+            for heard in client.heard['/diagnostics']
+            for status in heard.status
+            if status.name == 'estimator: inputs' and 'refused' in status.message
+        ]
+
+    for sample in samples[:20]:
+        client.state(sample, JOINTS)
+        client.wrench(sample)
+    for sample in samples[20:40]:
+        client.state(sample, JOINTS, position=[0.0, float('nan')])
+        client.wrench(sample)
+    for sample in samples[40:]:
+        client.state(sample, JOINTS)
+        client.wrench(sample)
+    client.wait(told, 'the refusals to be told')
+    client.wait(lambda: client.stamps('residual')[-1:] == [samples[-1].stamp], 'the last is answered')
+    found = ' '.join(told())
+    assert 'not finite' in found, found
+    assert 'has no joint state within the tolerance' in found, found
+    assert '2 publish on joint_states.' in found, found
+    client.node.destroy_publisher(another)

@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from contextlib import nullcontext
 from dataclasses import FrozenInstanceError, fields, replace
 from pathlib import Path
 
@@ -16,7 +17,7 @@ from semiparam_ros.ros.estimator.process import parameter_files
 from semiparam_ros.settings import PARAMETERS, Settings, dump_params, load_params
 from semiparam_ros.settings.build import build_estimator, given_hyperparameters, hyperparameter_values
 from semiparam_ros.settings.documentation import page
-from semiparam_ros.settings.files import located, params_text, read_params
+from semiparam_ros.settings.files import located, params_text, read_params, require_section
 from semiparam_ros.settings.parameter_table import Parameter
 from semiparam_ros.settings.rules import RULES, broken_rule
 from semiparam_ros.settings.snapshot import refusal
@@ -292,3 +293,14 @@ def test_outputs_follow_from_the_sensor_frame(given, outputs, tmp_path):
     assert settings.outputs == outputs == Settings(**given).outputs == settings.changed({'variant': 'P'}).outputs
     dump_params(settings, tmp_path / 'p.yaml')
     assert load_params(tmp_path / 'p.yaml') == settings
+
+
+@pytest.mark.parametrize(('section', 'fits'), [
+    ('estimator', [True, False, False]), ('/estimator', [True, False, False]), ('/**', [True, True, True]),
+    ('/**/estimator', [True, True, True]), ('/*/estimator', [False, True, False]),
+    ('/left/estimator', [False, True, False]), ('/left/**', [False, True, True]), ('other', [False, False, False])])
+def test_sections_are_those_that_ros_takes(tmp_path, section, fits):
+    path = write(tmp_path / 'p.yaml', f'{section}: {{ros__parameters: {{}}}}')
+    for name, fit in zip(('/estimator', '/left/estimator', '/left/arm/estimator'), fits, strict=True):
+        with nullcontext() if fit else pytest.raises(SemiparamError, match='ROS gives no section to the node'):
+            require_section(path, name)

@@ -182,8 +182,10 @@ class _SmoothingProblem:
 
         first = start[searched]
         # Rounding may leave more than any tolerance between likelihoods of the same ratios: those alone tell the end.
-        found = scipy.optimize.minimize(lambda ratios: self.cost(at(ratios))[0], first, method='Nelder-Mead', options={
-            'fatol': np.inf, 'xatol': 0.001, 'initial_simplex': np.vstack([first, first + np.eye(len(first))])})
+        options = {'fatol': np.inf, 'xatol': 0.001, 'initial_simplex': np.vstack([first, first + np.eye(len(first))])}
+        with np.errstate(invalid='ignore'):  # two ratios of infinite cost may be compared
+            found = scipy.optimize.minimize(lambda ratios: self.cost(at(ratios))[0], first, method='Nelder-Mead',
+                                            options=options)
         best = at(found.x)
         return best + self.cost(best)[1]
 

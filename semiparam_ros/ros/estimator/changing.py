@@ -75,13 +75,11 @@ class Changing:
         learner = self._learner()
         if learner is None:
             return Report(OK, f'changes: {STATES[0]}.', {})
-        state = learner.changes.state
+        changes = learner.changes
+        state, latest = changes.state, changes.latest
         level = OK if state in QUIET else WARN
-        latest = max(
-            learner.changes.records.values(), key=lambda record: record.change.number, default=None
-        )
         if latest is None:
-            return Report(level, f'the robot: {state}.', {'state': state})
+            return Report(level, changes.sentence, {'state': state})
         change, named = latest.change, latest.named
         values: dict[str, object] = {
             'state': state,
@@ -106,7 +104,7 @@ class Changing:
                 f'{name} [{value.unit}]': f'{value.value:.6g} +- {value.std or 0.0:.2g}'
                 for name, value in named.parameters.items()
             }
-        return Report(level, latest.sentence, values)
+        return Report(level, changes.sentence, values)
 
     def _publish(self, learner: Learner) -> None:
         self._state = learner.changes.state

@@ -104,7 +104,8 @@ class Diagnosing:
                 raise SemiparamError('there is another diagnosis by now; look at it, then apply it.')
             if gain is not None and gain < -SURE:
                 raise SemiparamError(f'what came since the diagnosis is better predicted without the effects that it '
-                                     f'found, by {-gain:.0f} nat: the robot has changed; ~/diagnose looks again.')
+                                     f'found, by {-gain:.0f} nat: the robot has changed, or they held for '
+                                     'the motion before alone; ~/diagnose looks again.')
             reply(self._applied(found))
         except Exception as failure:
             reply(reason('~/apply_diagnosis', failure, self._errors), success=False)

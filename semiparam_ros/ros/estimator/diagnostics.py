@@ -59,17 +59,19 @@ class Rejections:
     def __init__(self) -> None:
         self.counts: Counter[str] = Counter()
         self.last = ''
+        self.sentences: dict[str, str] = {}
+        """The last one of each topic."""
 
     def add(self, where: str, sentence: str) -> None:
         """One more."""
         self.counts[where] += 1
         if where != PARAMETERS:
-            self.last = shortened(sentence)
+            self.last = self.sentences[where] = shortened(sentence)
 
     @property
-    def on_topics(self) -> int:
-        """Number of messages refused."""
-        return self.counts.total() - self.counts[PARAMETERS]
+    def on_topics(self) -> Counter[str]:
+        """Numbers of messages refused, by topic."""
+        return Counter({where: count for where, count in self.counts.items() if where != PARAMETERS})
 
 
 class InternalErrors:
@@ -154,7 +156,8 @@ class InputReport:
         self._inputs, self._rejections = inputs, rejections
         self._since = time.monotonic()
         self._before: Counter[str] = Counter()
-        self._refused = self._elsewhere = 0
+        self._refused: Counter[str] = Counter()
+        self._elsewhere = 0
         self._last = ''
 
     def make(self) -> Report:
@@ -170,21 +173,23 @@ class InputReport:
         stream = self._inputs.stream
         faults: Counter[str] = stream.faults if stream else Counter()
         values |= {f'refused: {reason}': count for reason, count in sorted((faults + self._rejections.counts).items())}
-        self._last, self._elsewhere = self._latest(sum(faults.values())), self._rejections.on_topics
+        elsewhere = self._rejections.on_topics
+        refused = faults + elsewhere
+        news, self._refused = refused - self._refused, refused
+        self._last, self._elsewhere = self._latest(elsewhere.total(), bool(news)), elsewhere.total()
         values['last refusal'] = self._last
         values['ignored: other_joints'] = stream.ignored if stream else 0
         values['waiting for their counterpart'] = stream.pending if stream else 0
         values['lost before the robot was known'] = counts['given up']
-        return self._judged(now, sum(faults.values()) + self._rejections.on_topics, values)
+        return self._judged(now, news, values)
 
-    def _latest(self, in_stream: int) -> str:
-        if self._rejections.on_topics > self._elsewhere:
+    def _latest(self, elsewhere: int, is_new: bool) -> str:
+        if elsewhere > self._elsewhere:
             return self._rejections.last
         stream = self._inputs.stream
-        return stream.last_fault if stream and in_stream > self._refused - self._elsewhere else self._last
+        return stream.last_fault if stream and is_new else self._last
 
-    def _judged(self, now: float, refused: int, values: Mapping[str, object]) -> Report:
-        news, self._refused = refused - self._refused, refused
+    def _judged(self, now: float, news: Counter[str], values: Mapping[str, object]) -> Report:
         silent = [topic for topic in self._inputs.needed if topic in self._inputs.arrived
                   and now - self._inputs.arrived[topic] > SILENCE_S]
         absent = [topic for topic in self._inputs.needed if topic not in self._inputs.arrived]
@@ -192,14 +197,25 @@ class InputReport:
             return Report(WARN, f'nothing received on {", ".join(absent)} yet.{self._ignored()}{self._remedy(absent)}',
                           values)
         if silent:
-            return Report(WARN, f'nothing received on {", ".join(silent)} for more than {SILENCE_S:g} s.', values)
-        if news > 0:
-            return Report(WARN, f'{news} messages refused in the last second: {values["last refusal"]}', values)
+            return Report(WARN, f'nothing received on {", ".join(silent)} for more than {SILENCE_S:g} s.'
+                                f'{self._ignored()}', values)
+        if news:
+            return Report(WARN, self._refusals(news), values)
         cold = [name for name, last in self._inputs.temperatures.items() if now - last > TEMPERATURE_SILENCE_S]
         if cold:
             return Report(WARN, f'no temperature of {listed(cold)} for more than {TEMPERATURE_SILENCE_S:g} s; answers '
                                 f'go on with the last one.{self._ignored()}', values)
         return Report(OK, 'receiving.', values)
+
+    def _refusals(self, news: Counter[str]) -> str:
+        """What was refused since the last report: the last sentence of each reason."""
+        stream = self._inputs.stream
+        sentences = {**(stream.sentences if stream else {}), **self._rejections.sentences}
+        told = [(f'{count} {reason}: ' if len(news) > 1 else '') + sentences[reason]
+                for reason, count in sorted(news.items())]
+        many = [f'{count} publish on {topic}.' for topic in self._inputs.topics
+                if (count := self._inputs.publishers(topic)) > 1]
+        return f'{news.total()} messages refused in the last second: {" ".join([*told, *many])}'
 
     def _ignored(self) -> str:
         stream = self._inputs.stream

@@ -29,6 +29,9 @@ from semiparam_ros.ros.estimator.parameters import Parameters
 
 Result = TypeVar('Result')
 
+DISTURBED = ('The robot is touched or has changed, and the bias holds that now: as it should where the sensor was '
+             'zeroed; else tare again when that is over.')
+
 
 class Reply:
     """Answer that a request waits for: call it once, with the sentence and whether it went well,
@@ -132,7 +135,8 @@ class Services:
         learner = self._learner()
         count = learner.tare.take()
         values = np.array2string(learner.tare.bias, precision=4, separator=', ', max_line_width=10_000)
-        return f'the bias is now {values} ({", ".join(learner.body.output_units)}), from {count} samples.'
+        told = f'the bias is now {values} ({", ".join(learner.body.output_units)}), from {count} samples.'
+        return f'{told} {DISTURBED}' if learner.disturbed else told
 
     def save_state(self, reply: Reply) -> None:
         """Write what is learnt now to ``state_file``."""
