@@ -584,11 +584,18 @@ class ChangeWatch:
             self._inputs,
             tuple(self.applied.contributions),
             tuple(self._contacts.over),
-            done=partial(self._named, number),
+            done=partial(self._named, number, asked=change.ended),
             urgency=Urgency.ASKED,
         )
 
-    def _named(self, number: int, named: NamedChange | None, error: BaseException | None) -> None:
+    def _named(
+        self,
+        number: int,
+        named: NamedChange | None,
+        error: BaseException | None,
+        asked: int | None = None,
+    ) -> None:
+        """Take what a change was named; ``asked`` [ns] is its end as it was known then."""
         self._naming = False
         if isinstance(error, SemiparamError):
             self._refused(number, str(error))
@@ -597,6 +604,11 @@ class ChangeWatch:
         record = self.records.get(number)
         if record is not None and named is not None:
             self._inputs = named.inputs
+            trial = self.applied.of_change(number)
+            doubted = trial is not None and trial.applied and trial.score > 0.0
+            if doubted or record.change.ended != asked:  # it was over in some of the samples
+                self._ask_again(number, NAMED_AFTER_S[0])
+                return
             if named.effect is None and record.was_applied:
                 named = record.named
             record = replace(record, named=named, times_named=record.times_named + 1, unnamed='')
@@ -608,10 +620,14 @@ class ChangeWatch:
             self._told(record)
             self._try(record)
 
+    def _ask_again(self, number: int, seconds: float) -> None:
+        """Name a change anew after so much motion, unless that is due anyway."""
+        if all(other != number for _, other in self._due):
+            self._due = sorted([*self._due, (self._moved_s + seconds, number)])
+
     def _refused(self, number: int, why: str) -> None:
         """Say once why a change has no name, and ask again when more has come."""
-        if all(other != number for _, other in self._due):
-            self._due = sorted([*self._due, (self._moved_s + NAMED_AFTER_S[-1], number)])
+        self._ask_again(number, NAMED_AFTER_S[-1])
         record = self.records.get(number)
         if record is None:
             return

@@ -176,6 +176,28 @@ def test_an_effect_that_is_no_more_the_name_of_a_change_is_tried_no_more():
     assert not watch.applied.trials
 
 
+def test_what_was_named_from_samples_in_which_it_may_be_over_is_named_anew():
+    """A load kept the mass that a naming found while it was put down."""
+    body, samples, _ = loaded()
+    stage = offered(body, samples[samples.time < LOADED_S[0] + 12.0], diagnosis_auto='apply')
+    watch, (*_, record) = stage.learner.changes, stage.changes
+    number, (trial,) = record.change.number, watch.applied.applied
+    before, half = trial.coefficients.copy(), record.named
+    other = replace(half, parameters={
+        name: replace(quantity, value=0.5 * quantity.value)
+        for name, quantity in half.parameters.items()
+    })
+    trial.score, watch._due = 1.0, []
+    watch._named(number, other, None)
+    assert (trial.coefficients == before).all()
+    assert [due for _, due in watch._due] == [number]
+    trial.score = 0.0
+    watch._named(number, other, None, asked=5)
+    assert (trial.coefficients == before).all()
+    watch._named(number, other, None)
+    assert (trial.coefficients == 0.5 * before).all()
+
+
 @pytest.mark.parametrize('paused_at', [LOADED_S[0], LOADED_S[0] + 3.0])
 def test_a_load_is_named_where_the_robot_paused_before_or_after_it_was_picked_up(paused_at):
     """Seconds of motion count; after a pause of two minutes nothing was left to compare with."""
