@@ -82,7 +82,7 @@ def test_a_load_is_told_applied_and_taken_back_and_nobody_touches_anything(tmp_p
     )
     dump_params(settings, tmp_path / 'p.yaml')
     off = LOADED + 900
-    samples = carrying(off + 300, off)
+    samples = carrying(off + 500, off)
     with NodeProcess(tmp_path, tmp_path / 'p.yaml'), Client() as client:
         client.connect()
         client.listen(DiagnosticArray, 'change')
