@@ -228,24 +228,26 @@ class Followed:
     units of their prior."""
 
     def __init__(self, change: Change, judged: Judged, blocks: Sequence[MotionBlock]) -> None:
-        self.change, self.cause, self.blocks = change, judged.cause, len(blocks)
-        part = self.cause.part
+        self.change, self.cause, self.blocks = change, judged.cause, 0
         self.theta = judged.theta
         self._latest = deque([judged.theta], maxlen=SETTLED)
         self._gram, self._moment = np.zeros((len(self.theta),) * 2), np.zeros(len(self.theta))
         for block in blocks:
-            self._gram += block.gram[part, part]
-            self._moment += block.moment[part]
+            self._sum(block)
 
-    def add(self, block: MotionBlock) -> None:
-        """One more; the newest ones are left to say whether it goes on."""
+    def _sum(self, block: MotionBlock) -> None:
         part = self.cause.part
         self._gram += block.gram[part, part]
         self._moment += block.moment[part]
+        self.blocks += 1
+
+    def add(self, block: MotionBlock) -> None:
+        """One more; the newest ones are left to say whether it goes on."""
+        self._sum(block)
         self._latest.append(
             np.asarray(np.linalg.solve(_with_prior(self._gram), self._moment), dtype=float)
         )
-        self.theta, self.blocks = self._latest[0], self.blocks + 1
+        self.theta = self._latest[0]
 
     def without(self, grams: Array, sums: Array) -> CauseFit:
         """How well it explains all blocks since it began but the last ones, which have these A
@@ -735,7 +737,7 @@ class ChangeDetector:
         )
         if self._usual[0].ratio(self._explained(gram[None], moment[None])[0]) >= 1.0:
             return None
-        since = [block for block in self._blocks if block.start >= followed.change.since]
+        since = list(self._blocks)[-followed.blocks :]
         starts = np.arange(len(since))
         grams, sums, power = (
             _since(np.array(values), starts)
@@ -745,8 +747,11 @@ class ChangeDetector:
         )
         usual = self.usual_squares * (len(since) - starts)
         kappa = self.innovation_noise * np.maximum(power / usual, 1.0)
-        until = followed.without(grams, sums).evidence(kappa)
-        gains = until - followed.without(0.0 * grams, 0.0 * sums).evidence(kappa)
+        until, whole = (
+            followed.without(*values).evidence(kappa)
+            for values in ((grams, sums), (np.zeros_like(grams[:1]), np.zeros_like(sums[:1])))
+        )
+        gains = until - whole
         at = int(gains.argmax())
         return since[at].start if gains[at] > SURE else None
 

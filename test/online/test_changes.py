@@ -55,6 +55,19 @@ def test_a_small_load_that_the_model_learns_meanwhile_is_there_until_it_is_put_d
     assert abs((last.ended - samples.origin) * 1e-9 - LOADED_S[1]) < 1.0
 
 
+def test_a_second_change_ends_when_it_does_while_the_first_one_is_there():
+    """Blocks from before it was told are no part of its sums; it was over when it began."""
+    body, samples, _ = loaded()
+    there = (samples.time >= 85.0) & (samples.time < 92.0)
+    jump = 5.0 * samples.outputs.std(axis=0) * there[:, None]
+    both = replace(samples, outputs=samples.outputs + jump)
+    found, _, _ = told(body, both[samples.time < 98.0])
+    assert [(change.number, change.kind) for change in found] == [
+        (1, 'payload'), (2, 'sensor_offset'), (2, 'sensor_offset')
+    ]
+    assert abs((found[-1].ended - samples.origin) * 1e-9 - 92.0) < 0.5
+
+
 def test_what_comes_is_judged_by_the_model_from_before_the_longest_window():
     body, samples = free()
     estimator = Estimator(body, ModelOptions(variant='P', initial_samples=200))
