@@ -168,6 +168,20 @@ def test_after_what_no_effect_explains_it_is_learnt_what_is_usual_and_told_what_
     assert [record.change.kind for record in stage.changes][-1:] == ['sensor_offset']
 
 
+def test_what_stands_out_with_breaks_is_held_thirty_seconds_in_all():
+    """Pushes of 5 s with 2 s between began the thirty seconds anew, and held learning for minutes."""
+    body, samples = free()
+    outputs = samples.outputs.copy()
+    for start in np.arange(40.0, 100.0, 7.0):
+        outputs += pushed(start=start, newton=30.0)[1].outputs - samples.outputs
+    again = replace(samples, outputs=outputs)[samples.time < 100.0]
+    stage = offered(body, again, diagnosis_auto='apply')
+    learning = stage.learner.history.batch().learning
+    time = samples.time[: len(learning)]
+    assert np.mean(learning[(time > 45.0) & (time < 60.0)] > 0) < 0.2
+    assert np.mean(learning[(time > 82.0) & (time < 95.0)] > 0) > 0.9
+
+
 def test_a_push_is_not_applied_and_not_learnt():
     body, samples = pushed()
     stage = offered(body, samples[samples.time < 90.0], diagnosis_auto='apply')
