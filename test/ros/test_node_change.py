@@ -95,8 +95,12 @@ def test_a_load_is_told_applied_and_taken_back_and_nobody_touches_anything(tmp_p
         def decided(what):
             return [record for record in records() if [last['what'] for last in record['decisions'][-1:]] == [what]]
 
-        named = LOADED + 450  # ten times as fast as the robot: it waits until the load has its name
-        client.play_at_a_pace(samples[:named], JOINTS)
+        # ten times as fast as the robot: it waits until there is a model, which then learns what is
+        # usual before the load comes, and until the load has its name
+        window, named = settings.initial_samples, LOADED + 450
+        client.play_at_a_pace(samples[:window], JOINTS)
+        client.take_over()
+        client.play_at_a_pace(samples[window:named], JOINTS)
         client.wait(lambda: decided('tried beside the model'), 'the load to be tried')
         record = decided('tried beside the model')[-1]['named']
         client.wait(
