@@ -80,6 +80,9 @@ class KnownEffect:
     squares: Array = field(default_factory=lambda: np.zeros((2, 1)))
     """(2, n) weighed squares of what is left with it and without it, while it is there."""
 
+    leaves: Array = field(default_factory=lambda: np.zeros(1))
+    """(n,) ``shares`` when it was last there, and nothing spoke against it."""
+
     @property
     def share(self) -> float:
         """The error of all outputs with it over that without it; 0 before anything is known."""
@@ -252,6 +255,7 @@ class AppliedEffects:
             if trial.score <= 0.0:
                 trial.score, trial.since = 0.0, block.end
                 trial.squares = trial.squares * trial.applied
+                trial.leaves = trial.shares if trial.applied else trial.leaves
         may_switch = self.trials if applies else self.applied
         best = max(may_switch, key=lambda trial: trial.score, default=None)
         return best if best is not None and best.score > SURE else None

@@ -398,14 +398,22 @@ class ChangeWatch:
         """Apply what the blocks speak for, take back what they speak against, drop the rest."""
         applied, now = self.applied, block.end
         trial = applied.judge(block, detector.innovation_noise, detector.usual_squares, self.applies)
-        if trial is not None and trial.remembered and not trial.applied:
-            rival = detector.likeliest()  # another load than the one that is known
-            trial = None if rival is not None and rival.evidence > 0.0 else trial
-        if trial is not None:
+        if trial is not None and not self._surpassed(detector, trial):
             self._switch(detector, trial, now)
         for trial in applied.unsupported():
             applied.drop(trial.number)
             self._decide(trial.number, Decision(DROPPED, now, trial.score))
+
+    def _surpassed(self, detector: ChangeDetector, trial: KnownEffect) -> bool:
+        """Whether something else may as well have happened as that an effect that is known came
+        again, or went: a contact, or another load."""
+        if not (trial.applied or trial.remembered):
+            return False
+        row, came = self.applied.trials.index(trial), not trial.applied
+        if detector.contact_rather(row, came, trial.since, trial.leaves):
+            return True
+        likeliest = detector.likeliest() if came else None
+        return likeliest is not None and likeliest.evidence > 0.0
 
     def _switch(self, detector: ChangeDetector, trial: KnownEffect, now: int) -> None:
         """What stood out was this effect that came, or went: go on with the model as it was."""

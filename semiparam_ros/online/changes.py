@@ -354,6 +354,12 @@ class ChangeDetector:
         return self._usual[LENGTHS.index(8)].known
 
     @property
+    def _lags(self) -> bool:
+        """Whether the model from before the longest window predicts: before it does, less is left
+        than is usual."""
+        return len(self._before) == self._before.maxlen
+
+    @property
     def before(self) -> Array | None:
         """(p,) coefficients of the model from before anything stood out; None while they are those
         that it has."""
@@ -530,8 +536,9 @@ class ChangeDetector:
         predicts better."""
         if self.followed is None:
             self.touched = False
-            self._power.append(float(block.own[-1].sum()))
-            self._innovations.append(block.innovation[1])
+            if self._lags:
+                self._power.append(float(block.own[-1].sum()))
+                self._innovations.append(block.innovation[1])
         if self._held:  # charge what the model from before leaves, with the change that is followed
             left = float(block.own[-1].sum() - self._gained(self.followed)[-1])
             self._compared = COMPARED * self._compared + (left, block.live, 1.0)
@@ -550,7 +557,7 @@ class ChangeDetector:
             _since(np.array([block.gram for block in self._blocks]), starts),
             _since(moments, starts),
         )
-        free = self.followed is None and not self.touched
+        free = self._lags and self.followed is None and not self.touched
         for length, usual, explained in zip(lengths, self._usual, found, strict=False):
             ratios.append(usual.ratio(explained))
             if free and ratios[-1] < 1.0 and self._count % length == 0:
@@ -714,19 +721,39 @@ class ChangeDetector:
         """(S,) log evidence of a contact that began at any block since each of some starts, with
         the noise of that, over that of none."""
         kappa, which = np.unique(kappa, return_inverse=True)
-        own = np.array([block.own for block in self._blocks])
-        wrenches = [block.wrench for block in self._blocks]
+        late = np.arange(len(self._blocks))[:, None] >= starts
+        began = self._contact(list(self._blocks), kappa)[:, which]
+        return np.asarray(np.where(late, began, 0.0).max(axis=0, initial=0.0))
+
+    def _contact(self, blocks: Sequence[MotionBlock], kappa: Array) -> Array:
+        """(B, S) log evidence of a contact since each of some blocks, under noise kappa (S,)."""
+        own = np.array([block.own for block in blocks])
         each = wandering(*edge_sums(own), np.square(self._felt_scale)[:, None], kappa[:, None])
         each = (np.logaddexp(each, 0.0) - log(2.0)).sum(axis=-1)  # each output feels it or not
-        at_hand = wandering(
-            np.array([gram for gram, _ in wrenches]),
-            np.array([moment for _, moment in wrenches]),
-            WRENCH**2,
-            kappa,
-        )
-        late = np.arange(len(own))[:, None] >= starts
-        both = np.maximum(each, at_hand).max(axis=1)[:, which]  # (B, S)
-        return np.asarray(np.where(late, both, 0.0).max(axis=0, initial=0.0))
+        grams, moments = (np.array(sums) for sums in zip(*(b.wrench for b in blocks), strict=True))
+        at_hand = wandering(grams, moments, WRENCH**2, kappa)
+        return np.asarray(np.maximum(each, at_hand).max(axis=1))
+
+    def contact_rather(self, row: int, came: bool, since: int, shares: Array) -> bool:
+        """Whether the robot is touched, or may be, rather than that a known effect ``came``, or
+        went, within the first block from a stamp [ns] on.
+
+        That block has a part of the effect, and speaks for neither. As much noise is expected as
+        the effect leaves of itself, ``shares`` (n,) of each output.
+
+        :param row: of the effect in what known effects add.
+        """
+        blocks = [block for block in self._blocks if block.start >= since and len(block.added) > row]
+        if len(blocks) < 2:
+            return True
+        if len(blocks) > LASTING:
+            return False
+        after = blocks[1:]
+        along, own = np.sum([block.added[row] for block in after], axis=0)
+        usual = float(np.median(self._power)) * len(after)
+        kappa = self.noise * max(float(np.square(shares) @ own) / usual, 1.0)
+        known = float(((2.0 if came else -2.0) * along - own).sum() / (2.0 * kappa))
+        return known <= max(float(self._contact(after, np.array([kappa])).max()), 0.0)
 
     def _end(self, followed: Followed) -> int | None:
         """Since when [ns] the change that is followed is over; None while it is there."""

@@ -56,13 +56,14 @@ def loaded(between=LOADED_S, seed=3):
     return body, replace(samples, outputs=outputs), with_it.truth[0]['parameters']['mass']['value']
 
 
-def pushed(start=70.0, seconds=5.0, newton=15.0, seed=3):
-    """The same while a hand pushes the last link."""
+def pushed(start=70.0, seconds=5.0, newton=15.0, seed=3, force=None):
+    """The same while a hand pushes the last link, by a ``force`` (3,) [N] or so many newtons."""
     found, (body, samples) = _recording(False, seed), free(seed)
     arm = Arm.from_urdf(found.urdf, found.joint_names, 'wrench', found.frame_id, found.convention)
     rise = np.clip(np.minimum(samples.time - start, start + seconds - samples.time) / 0.4, 0.0, 1.0)
     sway = 1.0 + 0.2 * np.sin(4.4 * (samples.time - start))
-    force = newton * (rise * sway)[:, None] * np.array([0.6, -0.7, 0.39])
+    along = newton * np.array([0.6, -0.7, 0.39]) if force is None else np.array(force)
+    force = (rise * sway)[:, None] * along
     change = arm.load_of_force(arm.pose(arm.tip, samples.position), force, samples.position)
     return body, replace(samples, outputs=samples.outputs + change)
 
