@@ -1,6 +1,7 @@
 """The realtime priority of the node's own threads, where the system permits it."""
 
 import os
+import subprocess
 from dataclasses import replace
 from pathlib import Path
 
@@ -36,13 +37,21 @@ def test_the_node_takes_the_priority_and_the_processes_beside_it_do_not(tmp_path
         client.play(motion(80), JOINTS)
         main = node.process.pid
         if permitted():
-            assert os.sched_getscheduler(main) == os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
+            assert os.sched_getscheduler(main) == os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, node.output
             assert os.sched_getparam(main).sched_priority == PRIORITY
             assert sum(policy_of(thread) == os.SCHED_FIFO for thread in threads_of(main)) > 1, "DDS's threads too"
             assert children_of(main) and {policy_of(child) for child in children_of(main)} == {os.SCHED_OTHER}
         else:
             assert f'realtime_priority {PRIORITY} is refused by the system' in node.output
             assert policy_of(main) == os.SCHED_OTHER
+
+
+def test_a_thread_that_ends_meanwhile_refuses_nothing(monkeypatch):
+    """Threads of DDS come and go while the node starts."""
+    ended = subprocess.Popen(['true'])
+    ended.wait()
+    monkeypatch.setattr(os, 'listdir', lambda _: [str(ended.pid)])
+    assert take_priority(PRIORITY) == ''
 
 
 def test_no_priority_changes_nothing():

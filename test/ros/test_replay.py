@@ -144,7 +144,7 @@ def test_messages_come_at_their_time(tmp_path):
     bag = write_robot(tmp_path / 'a.mcap', 101, rate_hz=100)
     with Peer() as peer:
         arrivals = []
-        peer.node.create_subscription(peer_type(WRENCH), '/wrench', lambda _: arrivals.append(time.monotonic()), 10)
+        peer.node.create_subscription(peer_type(WRENCH), '/wrench', lambda _: arrivals.append(time.monotonic()), 101)
         replayed(tmp_path, bag, '--wait-for-subscribers', '--topics', '/wrench')
     assert len(arrivals) == 101
     assert arrivals[-1] - arrivals[0] == pytest.approx(1.0, abs=0.1)

@@ -36,7 +36,8 @@ def take_priority(priority: int) -> str:
     policy, parameter = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority)
     try:
         for thread in os.listdir('/proc/self/task'):
-            os.sched_setscheduler(int(thread), policy, parameter)
+            with suppress(ProcessLookupError):  # it has ended meanwhile
+                os.sched_setscheduler(int(thread), policy, parameter)
     except OSError as error:
         return (f'realtime_priority {priority} is refused by the system ({error.strerror}); the node goes on without. '
                 'It needs a line "rtprio" for its user in /etc/security/limits.conf.')
