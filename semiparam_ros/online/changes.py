@@ -354,12 +354,6 @@ class ChangeDetector:
         return self._usual[LENGTHS.index(8)].known
 
     @property
-    def _lags(self) -> bool:
-        """Whether the model from before the longest window predicts: before it does, less is left
-        than is usual."""
-        return len(self._before) == self._before.maxlen
-
-    @property
     def before(self) -> Array | None:
         """(p,) coefficients of the model from before anything stood out; None while they are those
         that it has."""
@@ -536,9 +530,8 @@ class ChangeDetector:
         predicts better."""
         if self.followed is None:
             self.touched = False
-            if self._lags:
-                self._power.append(float(block.own[-1].sum()))
-                self._innovations.append(block.innovation[1])
+            self._power.append(float(block.own[-1].sum()))
+            self._innovations.append(block.innovation[1])
         if self._held:  # charge what the model from before leaves, with the change that is followed
             left = float(block.own[-1].sum() - self._gained(self.followed)[-1])
             self._compared = COMPARED * self._compared + (left, block.live, 1.0)
@@ -557,7 +550,7 @@ class ChangeDetector:
             _since(np.array([block.gram for block in self._blocks]), starts),
             _since(moments, starts),
         )
-        free = self._lags and self.followed is None and not self.touched
+        free = self.followed is None and not self.touched
         for length, usual, explained in zip(lengths, self._usual, found, strict=False):
             ratios.append(usual.ratio(explained))
             if free and ratios[-1] < 1.0 and self._count % length == 0:

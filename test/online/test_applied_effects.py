@@ -11,7 +11,7 @@ from semiparam_ros.effects import effect_from_text
 from semiparam_ros.effects.cables import CableSpring
 from semiparam_ros.online import state_file
 from semiparam_ros.online.applied_effects import TRIED_S, AppliedEffects, as_measured
-from semiparam_ros.online.change_watch import APPLIED, ASSUMED, HELD_S, TAKEN_BACK, TRIED
+from semiparam_ros.online.change_watch import APPLIED, ASSUMED, TAKEN_BACK, TRIED
 from semiparam_ros.online.changes import BLOCK_S, MotionBlock
 from semiparam_ros.online.feedforward import Feedforward
 from semiparam_ros.online.identified_parameters import Load
@@ -134,8 +134,7 @@ def test_what_no_effect_explains_is_learnt_and_told_no_more(monkeypatch, stiffne
     assert max(noticed) < 110.0
     learning = stage.learner.history.batch().learning
     time = samples.time[: len(learning)]
-    assert np.sum(learning[time > 70.0] <= 0) < (HELD_S + 5.0) * 20.0
-    assert np.mean(learning[time > 110.0] > 0) > 0.95
+    assert np.mean(learning[(time > 105.0) & (time < 125.0)] > 0) > 0.95
 
 
 def test_an_offset_that_came_for_seconds_is_remembered_no_more_and_one_that_stayed_is():
@@ -159,13 +158,13 @@ def test_an_offset_that_came_for_seconds_is_remembered_no_more_and_one_that_stay
 
 def test_after_what_no_effect_explains_it_is_learnt_what_is_usual_and_told_what_comes_next():
     body, samples = free()
-    jump = 0.5 * samples.outputs.std(axis=0) * (samples.time >= 94.0)[:, None]
+    jump = 0.5 * samples.outputs.std(axis=0) * (samples.time >= 90.0)[:, None]
     jumped = replace(samples, outputs=samples.outputs + jump)
     stage = offered(body, jumped[samples.time < 75.0], diagnosis_auto='apply')
     stage.learner.changes._learn()  # as when no effect explained what stood out
     stage.offer(jumped[(samples.time >= 75.0) & (samples.time < 80.0)])
     assert stage.learner.changes.state == 'learns what is usual'
-    stage.offer(jumped[(samples.time >= 80.0) & (samples.time < 102.0)])
+    stage.offer(jumped[(samples.time >= 80.0) & (samples.time < 98.0)])
     assert [record.change.kind for record in stage.changes][-1:] == ['sensor_offset']
 
 

@@ -79,16 +79,7 @@ def test_what_comes_is_judged_by_the_model_from_before_the_longest_window():
         if detector.finished is not None:
             models.append(model.theta.copy())
         estimator.observe(prediction, prediction.motion.is_news)
-    lags = [(detector.reference == theta).all() for theta in reversed(models)].index(True) + 1
-    assert max(LENGTHS) <= lags < max(LENGTHS) + 4, 'a block that nearly stands out moves nothing on'
-
-
-def test_what_is_usual_is_learnt_from_whole_lags_alone():
-    """A change was told ten seconds after each start: the model of a moment ago leaves less."""
-    body, samples = free()
-    start = samples.time[np.flatnonzero(samples.time > 10.0)[0]]  # the model is ready
-    for seconds, knows in ((13.0, False), (15.0, True)):
-        assert told(body, samples[samples.time < start + seconds])[2].knows is knows
+    assert (detector.reference == models[-max(LENGTHS)]).all()
 
 
 def test_nothing_is_told_where_nothing_changes():
