@@ -9,8 +9,8 @@ frame's Jacobian, -J(q)'. Then
 
     F = L A' (A L A' + R)^-1 r,     covariance = L - L A' (A L A' + R)^-1 A L
 
-damped least squares with the covariance R of the prediction and the forces L that people and tables bring about. A
-direction that the outputs do not feel, as of a singular or a short arm, is zero and keeps the deviation of L.
+damped least squares with the forces L that people and tables bring about, and the covariance R of the prediction plus
+b b', for what the offset b that wanders took may be the robot's own or a push. A direction that the outputs do not feel, as of a singular or a short arm, is zero and keeps the deviation of L.
 """
 
 from __future__ import annotations
@@ -86,7 +86,8 @@ class ExternalWrench:
 
         :param widening: (n,) how much wider than the model's own its bands are in free motion.
         """
-        noise = prediction.model_covariance * np.outer(widening, widening)
+        taken = prediction.mean - prediction.model_mean  # by the wandering offset: of the robot, or of what pushes it
+        noise = prediction.model_covariance * np.outer(widening, widening) + np.outer(taken, taken)
         if self._at_sensor:
             return External(-self._body.sign * residual, noise)
         maps = self.outputs_of(prediction.sample.position)
