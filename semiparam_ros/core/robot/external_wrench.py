@@ -10,7 +10,8 @@ frame's Jacobian, -J(q)'. Then
     F = L A' (A L A' + R)^-1 r,     covariance = L - L A' (A L A' + R)^-1 A L
 
 damped least squares with the forces L that people and tables bring about, and the covariance R of the prediction plus
-b b', for what the offset b that wanders took may be the robot's own or a push. A direction that the outputs do not feel, as of a singular or a short arm, is zero and keeps the deviation of L.
+b b', for what the offset b that wanders took may be the robot's own or a push. A direction that the outputs
+do not feel, as of a singular or a short arm, is zero and keeps the deviation of L.
 """
 
 from __future__ import annotations
