@@ -156,8 +156,9 @@ def _sections(tree: Mapping[str, object], prefix: str) -> Iterator[tuple[str, ob
     """Sections by their names, also where a namespace holds them: ``left: {estimator: {ros__parameters: {}}}``."""
     for name, body in tree.items():
         inner = body if isinstance(body, dict) and 'ros__parameters' not in body else {}
-        named = [(deep, held) for deep, held in _sections(inner, f'{prefix}{name}/')
-                 if isinstance(held, dict) and 'ros__parameters' in held]
+        named: list[tuple[str, object]] = [
+            (deep, held) for deep, held in _sections(inner, f'{prefix}{name}/')
+            if isinstance(held, dict) and 'ros__parameters' in held]
         yield from named or [(f'{prefix}{name}', body)]
 
 
