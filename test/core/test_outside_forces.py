@@ -63,8 +63,7 @@ def efforts_against(body, state, frame, wrench):
 class Leaves:
     """As much of a prediction as the external wrench looks at."""
 
-    def __init__(self, position, std, offset=0.0):
-        self.model_mean, self.mean = np.zeros(len(std)), np.zeros(len(std)) + offset
+    def __init__(self, position, std):
         self.sample = Sample(0, position, 0 * position, 0 * position, np.zeros(len(std)))
         self.std = self.model_std = std
         self.model_covariance = np.diag(std**2)
@@ -96,7 +95,7 @@ def test_a_push_that_the_wandering_offset_took_is_within_the_deviation(outputs):
     wrench, position = np.array([12.0, -14.0, 8.0, 0.0, 0.0, 0.0]), np.linspace(0.3, 0.9, 7)
     external = ExternalWrench(arm(outputs))
     push = external.outputs_of(position) @ wrench
-    free, taken = (external.of(Leaves(position, np.full(len(push), 1e-3), offset), 0.0 * push, ONE)
+    free, taken = (external.of(Leaves(position, np.full(len(push), 1e-3)), 0.0 * push, ONE, offset)
                    for offset in (0.0, push))
     assert free.std.max() < 0.2
     assert taken.std[:3] == pytest.approx(np.abs(wrench[:3]), rel=0.1)

@@ -9,9 +9,9 @@ frame's Jacobian, -J(q)'. Then
 
     F = L A' (A L A' + R)^-1 r,     covariance = L - L A' (A L A' + R)^-1 A L
 
-damped least squares with the forces L that people and tables bring about, and the covariance R of the prediction plus
-b b', for what the offset b that wanders took may be the robot's own or a push. A direction that the outputs
-do not feel, as of a singular or a short arm, is zero and keeps the deviation of L.
+damped least squares with the forces L that people and tables bring about, and the covariance R of the prediction.
+Without a contact gate R holds b b' too: what the offset b that wanders took may be a push. A direction that the
+outputs do not feel, as of a singular or a short arm, is zero and keeps the deviation of L.
 """
 
 from __future__ import annotations
@@ -82,13 +82,13 @@ class ExternalWrench:
         to_frame = pin.updateFramePlacement(model, data, self._index).rotation.T
         return np.hstack([maps[:, :3] @ to_frame, maps[:, 3:] @ to_frame])
 
-    def of(self, prediction: Prediction, residual: Array, widening: Array) -> External:
+    def of(self, prediction: Prediction, residual: Array, widening: Array, followed: Array | float = 0.0) -> External:
         """Wrench at a sample of which the model leaves ``residual`` (n,) of what was measured.
 
         :param widening: (n,) how much wider than the model's own its bands are in free motion.
+        :param followed: (n,) what the wandering offset took that may be a push.
         """
-        taken = prediction.mean - prediction.model_mean  # by the wandering offset: of the robot, or of what pushes it
-        noise = prediction.model_covariance * np.outer(widening, widening) + np.outer(taken, taken)
+        noise = prediction.model_covariance * np.outer(widening, widening) + np.outer(followed, followed)
         if self._at_sensor:
             return External(-self._body.sign * residual, noise)
         maps = self.outputs_of(prediction.sample.position)
