@@ -67,7 +67,7 @@ def run(recording: Recording, samples: list[Sample]) -> Run:
     rows: list[tuple[Array, Array, Array]] = []
 
     def keep(answer: Answer, widening: Array) -> None:
-        found = external.of(answer.prediction, answer.residual, widening)
+        found = external.of(answer.prediction, answer.residual, widening, answer.followed)
         rows.append((found.wrench, found.std, answer.residual))
 
     learner.on_answer, closed, link = keep, [], []

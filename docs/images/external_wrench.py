@@ -39,7 +39,7 @@ def main(picture: Path) -> None:
     learner = OfflineLearner(settings, [], lambda: None)
     external, wrenches, gate = ExternalWrench(learner.estimator.body), [], learner.learner.gate
     learner.on_answer = lambda answer, widening: wrenches.append(
-        external.of(answer.prediction, answer.residual, widening))
+        external.of(answer.prediction, answer.residual, widening, answer.followed))
     places = []
     for row in zip(found.stamps, found.position, found.velocity, found.acceleration, outputs, strict=True):
         learner.step(Sample(int(row[0]), *row[1:]), True)

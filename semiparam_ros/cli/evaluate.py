@@ -209,7 +209,7 @@ def _writer_of(rows: list[str], external: ExternalWrench) -> Callable[[Answer, A
     """Return a function that appends a line for each answer of the variant's own."""
     def append(answer: Answer, widening: Array) -> None:
         if answer.prediction.ready:
-            found = external.of(answer.prediction, answer.residual, widening)
+            found = external.of(answer.prediction, answer.residual, widening, answer.followed)
             numbers = [*found.wrench.tolist(), *found.std.tolist()]
             rows.append(','.join([str(answer.prediction.sample.stamp), *map(repr, numbers)]))
     return append

@@ -36,11 +36,9 @@ def check_file(path: Path, ros_arguments: Sequence[str]) -> None:
 
     Raises SemiparamError, naming the file.
     """
-    from semiparam_ros.settings.files import read_params, require_section
+    from semiparam_ros.settings.files import read_params
     from semiparam_ros.settings.snapshot import Settings
 
     given = dict(argument.split(':=', 1) for argument in ros_arguments if ':=' in argument)
-    node = given.get('__node', 'estimator')
-    require_section(path, f'/{given.get("__ns", "").strip("/")}/{node}'.replace('//', '/'))
-    if node == 'estimator':
-        Settings().changed(read_params(path), where=str(path))
+    names = [*given.get('__ns', '').split('/'), given.get('__node', 'estimator')]
+    Settings().changed(read_params(path, '/' + '/'.join(filter(None, names))), where=str(path))

@@ -59,6 +59,7 @@ class Answer(NamedTuple):
     contact_level: Array  # (n,) residual over the gate's threshold; 0 where it does not judge
     places: Array  # (n_links,) how likely the contact is at each link of the gate's places
     contact_s: float  # since the contact began
+    followed: Array  # (n,) what the wandering offset took that may be a push: nothing behind a contact gate
 
     @property
     def learnt(self) -> bool:
@@ -171,7 +172,8 @@ class Learner:
                 'a change of the robot, and is learnt.')
         learning = learning_of(prediction, self.settings.learning and not contact, self.gate, self.changes)
         answer = Answer(self._as_measured(prediction, of_tools, of_changes), sample.outputs - prediction.mean,
-                        standardised_innovation(prediction), learning, contact, self.gate.level, *self.gate.places())
+                        standardised_innovation(prediction), learning, contact, self.gate.level, *self.gate.places(),
+                        (prediction.mean - prediction.model_mean) * (not self.settings.gate_enabled))
         self._emit(answer)  # before learning, which takes as long as predicting
         self._look_for_changes(prediction)
         if self._observe(prediction, learning):

@@ -25,6 +25,8 @@ from semiparam_ros.core.online_model import ModelState
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Sample
 from semiparam_ros.core.types import Array, Codes, Mask, Stamps
+from semiparam_ros.effects import effect_from_text
+from semiparam_ros.effects.base import place
 from semiparam_ros.errors import SemiparamError, listed
 from semiparam_ros.online.applied_effects import AppliedEffects
 from semiparam_ros.online.contact_gate import ContactGate
@@ -85,6 +87,15 @@ class SavedState(NamedTuple):
     gate: Memory
     renewal: Memory
     applied: Memory
+
+    @property
+    def sentence(self) -> str:
+        """For people, without a full stop: the model, and what it expects to be there, as a load of before."""
+        state = cast('dict[str, tuple[Any, ...]]', self.applied)
+        there = [effect_from_text(text) for text, on in zip(state['effects'], state['applied'], strict=True) if on]
+        places = ', '.join(place(effect.kind, effect.where) for effect in there)
+        expected = f', and expects {places}' if there else ''
+        return f'{self.settings.variant} with {len(self.batch)} samples{expected}'
 
 
 class Snapshot(NamedTuple):

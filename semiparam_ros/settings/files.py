@@ -32,7 +32,9 @@ _Loader.add_implicit_resolver('tag:yaml.org,2002:float', re.compile(r'^[-+]?\d+[
 
 
 def load_params(path: str | Path | None, node: str = 'estimator') -> Settings:
-    """Settings of one node from a ROS parameter file; sections ``node``, ``/ns/node`` and ``/**`` apply in order.
+    """Settings of one node from a ROS parameter file; the sections that ROS hands to it apply in order.
+
+    :param node: its full name, ``/left/estimator``; a bare one is that of the only node of this name in the file.
 
     Relative paths count from the file: see :func:`located`.
 
@@ -77,12 +79,15 @@ def read_params(path: str | Path, node: str = 'estimator') -> dict[str, object]:
     """Read unchecked names (dotted) and values of one node's sections."""
     document = _parse(Path(path))
     values: dict[str, object] = {}
-    sections = {name: body for name, body in document.items() if _applies(str(name), node)}
+    sections = {name: body for name, body in document.items() if _fits(name, node)}
     if not sections:
-        found = ', '.join(map(str, document)) or 'nothing'
-        raise SemiparamError(f"{path}: no section for node '{node}' (found: {found}); expected '{node}:' or '/**:'.")
+        found = ', '.join(document) or 'nothing'
+        raise SemiparamError(f"{path}: ROS gives no section to the node {node} (found: {found}); "
+                             f"expected '{node}:' or '/**:'.")
+    if len({name.lstrip('/') for name in sections if '*' not in name}) > 1:
+        raise SemiparamError(f"{path}: sections of several nodes ({', '.join(sections)}); expected those of one.")
     for name, body in sections.items():
-        values.update(_section(body, str(name), str(path)))
+        values.update(_section(body, name, str(path)))
     return values
 
 
@@ -144,29 +149,27 @@ def _parse(path: Path) -> Mapping[str, object]:
     document = read_yaml(path, 'the parameter file', _Loader)
     if not isinstance(document, dict):
         raise SemiparamError(f'{path} holds no parameters; expected a ROS parameter file that starts with estimator:.')
-    return document
+    return dict(_sections(document, ''))
 
 
-def _applies(section: str, node: str) -> bool:
-    """Tell whether ROS hands a section to the node: by its name in any namespace, or a wildcard."""
-    name = section.rstrip('/').rpartition('/')[2]
-    return name in ('**', '*', node) or section.lstrip('/') == node.lstrip('/')
+def _sections(tree: Mapping[str, object], prefix: str) -> Iterator[tuple[str, object]]:
+    """Sections by their names, also where a namespace holds them: ``left: {estimator: {ros__parameters: {}}}``."""
+    for name, body in tree.items():
+        inner = body if isinstance(body, dict) and 'ros__parameters' not in body else {}
+        named: list[tuple[str, object]] = [
+            (deep, held) for deep, held in _sections(inner, f'{prefix}{name}/')
+            if isinstance(held, dict) and 'ros__parameters' in held]
+        yield from named or [(f'{prefix}{name}', body)]
 
 
-def require_section(path: str | Path, full_name: str) -> None:
-    """Raise SemiparamError where ROS hands no section of a parameter file to the node of a full name
-    (``/left/estimator``): it would start with the defaults, and not say so."""
-    sections = [str(name) for name in _parse(Path(path))]
-    if not any(_fits(section, full_name) for section in sections):
-        raise SemiparamError(f"{path}: ROS gives no section to the node {full_name} (found: {', '.join(sections)}); "
-                             f"expected '{full_name}:' or '/**:'.")
-
-
-def _fits(section: str, full_name: str) -> bool:
-    """Whether a section is a node's: a star is one name, two are any number of them."""
+def _fits(section: str, node: str) -> bool:
+    """Whether ROS hands a section to a node, of a bare name to one in some namespace: a star is one name, two are
+    any number of them."""
     stars = {'*': '/[^/]+', '**': '(/[^/]+)*'}
-    tokens = section.strip('/').split('/')
-    return re.fullmatch(''.join(stars.get(token, '/' + re.escape(token)) for token in tokens), full_name) is not None
+    tokens = section.removeprefix('/').split('/')
+    tokens = tokens if '/' in node else ['**', tokens[-1]]
+    pattern = ''.join(stars.get(token, '/' + re.escape(token)) for token in tokens)
+    return re.fullmatch(pattern, '/' + node.removeprefix('/')) is not None
 
 
 def _section(body: object, name: str, path: str) -> dict[str, object]:

@@ -89,6 +89,19 @@ def test_a_wrench_at_the_last_link_is_found_from_efforts_and_from_a_wrench(seed)
         np.testing.assert_array_equal(at_sensor.wrench, -sensor.sign * residual)
 
 
+@pytest.mark.parametrize('outputs', ['wrench', 'effort'])
+def test_a_push_that_the_wandering_offset_took_is_within_the_deviation(outputs):
+    """A push of 20 N was told as 0 with 5 N, half a second after it began."""
+    wrench, position = np.array([12.0, -14.0, 8.0, 0.0, 0.0, 0.0]), np.linspace(0.3, 0.9, 7)
+    external = ExternalWrench(arm(outputs))
+    push = external.outputs_of(position) @ wrench
+    free, taken = (external.of(Leaves(position, np.full(len(push), 1e-3)), 0.0 * push, ONE, offset)
+                   for offset in (0.0, push))
+    assert free.std.max() < 0.2
+    assert taken.std[:3] == pytest.approx(np.abs(wrench[:3]), rel=0.1)
+    assert taken.std[3:] == pytest.approx(free.std[3:], rel=0.1) and not taken.wrench.any()
+
+
 def test_what_a_short_arm_does_not_feel_keeps_the_deviation_of_a_push_and_is_told():
     """Two joints: of six directions at the hand four are never felt, and are zero."""
     body = build_rigid_body(replace(SETTINGS, outputs='effort', sensor_frame=''))

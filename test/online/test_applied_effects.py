@@ -116,9 +116,11 @@ def test_what_came_is_named_and_applied(tmp_path, changed, kind):
     floor = between(samples[samples.time < 110.0], left, *FLOOR_S)
     assert between(samples[samples.time < 110.0], left, 85.0, 110.0) < 1.5 * floor
     state_file.save(tmp_path / 's.npz', stage.learner.state())
-    again = state_file.load(tmp_path / 's.npz', stage.learner.settings, body).applied
+    again = state_file.load(tmp_path / 's.npz', stage.learner.settings, body)
+    where = f' at {record.effect.where}' if record.effect.where else ''
+    assert again.sentence.endswith(f' samples, and expects {kind}{where}'), 'forces are off where it is gone'
     other = AppliedEffects(body)
-    other.restore(again)
+    other.restore(again.applied)
     (trial,), (known,) = other.applied, stage.learner.changes.applied.applied
     assert trial.effect == known.effect
     np.testing.assert_array_equal(trial.coefficients, known.coefficients)

@@ -10,6 +10,7 @@ from semiparam_ros.core.robot.tools import Tools
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.experiments.evaluation import OfflineLearner
 from semiparam_ros.online.compensation import Compensation
+from semiparam_ros.online.tare import Tare
 from support.learner_stage import Stage
 from support.node_helpers import BODY, SETTINGS, InlineBackground, motion
 
@@ -58,6 +59,23 @@ def test_nothing_is_left_of_weight_and_inertia_and_a_tare_takes_the_bias_within_
     stage.offer(biased(samples[150:300]))
     assert stage.steps_since(at - 1).max() < QUIET
     assert np.abs(np.mean(stage.shown[-50:], axis=0)).max() < 0.4
+
+
+@pytest.mark.parametrize('gated', [False, True])
+def test_what_may_be_a_push_is_what_the_wandering_offset_took_without_a_gate(gated):
+    """Neither the bias of a tare nor a tool."""
+    settings = replace(SETTINGS, variant='P', gate_enabled=gated, diagnosis_auto='off')
+    stage, samples = Stage(settings, InlineBackground()), motion(500)
+    stage.offer(samples[:300])
+    stage.learner.tare = Tare(6, np.full(6, 30.0))
+    stage.learner.change(replace(settings, tools=(TOOL,)))
+    tools = Tools(BODY, [TOOL])
+    carried = [sample._replace(outputs=sample.outputs + tools.outputs(*sample[1:4]) + 30.0) for sample in samples[300:]]
+    stage.offer(carried[:50])
+    assert np.abs(stage.answers[-1].followed).max() < 1.0
+    stage.offer(biased(carried[50:]))
+    followed = np.mean([answer.followed for answer in stage.answers[-50:]], axis=0)
+    assert (not followed.any()) if gated else np.abs(followed).max() > 0.5
 
 
 def test_a_time_constant_of_zero_follows_at_once():

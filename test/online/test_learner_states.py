@@ -90,7 +90,7 @@ class Lives(RuleBasedStateMachine):
         self.answers.append(answer.prediction.sample.stamp)
         self.given.append((answer.prediction.sample, answer.learning))
         assert np.isfinite(answer.prediction.mean).all() and np.isfinite(answer.prediction.std).all()
-        found = self.external.of(answer.prediction, answer.residual, np.ones(self.body.n_outputs))
+        found = self.external.of(answer.prediction, answer.residual, np.ones(self.body.n_outputs), answer.followed)
         assert np.isfinite([*found.wrench, *found.std]).all() and (found.std >= 0.0).all()
         assert not answer.places.any() or (answer.contact and answer.places.sum() == pytest.approx(1.0))
         if self.body.outputs == 'wrench' and self.learner is not None:

@@ -48,7 +48,7 @@ def test_live_as_offline_a_push_has_its_force_and_its_link_and_a_tool_comes_with
 
     learner, external, found = OfflineLearner(LIVE, [], lambda: None, takeovers), ExternalWrench(BODY), []
     learner.on_answer = lambda answer, widening: found.append(
-        external.of(answer.prediction, answer.residual, widening))
+        external.of(answer.prediction, answer.residual, widening, answer.followed))
     for sample in samples[:400]:
         learner.step(sample, True)
     client.wait(lambda: len(client.heard['contact_place']) >= 400, 'the last place')

@@ -4,14 +4,17 @@ import time
 from dataclasses import replace
 
 from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import WrenchStamped
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 from semiparam_ros.core.robot.urdf import MOST_CHARACTERS
 from semiparam_ros.ros.cdr import MOST_BYTES, joint_state_layout
 from semiparam_ros.settings import Settings
+from support.node_client import set_stamp
 from support.node_fuzz import resident_mb
 from support.node_helpers import JOINTS, SETTINGS, URDF, motion
+from support.replay_peers import Peer
 
 GRIPPER = ('left_finger', 'right_finger')
 
@@ -122,3 +125,29 @@ def test_every_reason_of_a_refusal_is_told_and_not_its_last_consequence_alone(st
     assert 'has no joint state within the tolerance' in found, found
     assert '2 publish on joint_states.' in found, found
     client.node.destroy_publisher(another)
+
+
+def test_a_second_publisher_is_told_once_by_its_node(start_node):
+    """Zeros of another node between the robot's wrenches were learnt, and nobody said that there are two."""
+    node, client = start_node(replace(SETTINGS, variant='P'))
+    client.offer('joint_states', 'wrench')
+    samples = motion(120)
+    for sample in samples[:40]:
+        client.state(sample, JOINTS)
+        client.wrench(sample)
+    assert 'publish on' not in node.output
+    with Peer('stranger') as stranger:
+        output = stranger.node.create_publisher(WrenchStamped, client.outputs['wrench'].topic, 10)
+        client.wait(lambda: '2 publish on wrench: /client, /stranger. All that' in node.output, 'both are told')
+        client.wait(lambda: output.get_subscription_count(), 'it is heard')
+        zeros = WrenchStamped()
+        set_stamp(zeros.header.stamp, samples[39].stamp)
+        zeros.header.frame_id = 'ft'
+        output.publish(zeros)
+        client.wait_report('inputs', lambda level, message, values: values.get('refused: duplicate_stamp') == '1')
+    for sample in samples[40:]:
+        client.state(sample, JOINTS)
+        client.wrench(sample)
+        time.sleep(0.02)
+    client.report('learning')
+    assert node.output.count('publish on wrench') == 1

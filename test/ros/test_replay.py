@@ -7,17 +7,21 @@ import select
 import signal
 import sys
 import time
+from types import SimpleNamespace
+from unittest.mock import patch
 
 import pytest
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import GetParameters, SetParameters
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile
+from rclpy.topic_endpoint_info import TopicEndpointInfo
 from std_srvs.srv import Trigger
 
 from semiparam_ros.bags.header_stamp import read_stamp
 from semiparam_ros.bags.qos import Qos
 from semiparam_ros.bags.reader import open_bag
 from semiparam_ros.bags.writer import BagWriter
+from semiparam_ros.ros.replay.subscribers import NAMED_S, SETTLE_S, SubscriberCheck, owner
 from support.commands import refusal
 from support.replay_peers import (
     EVERYTHING,
@@ -138,6 +142,22 @@ def test_paced_playback_offers_what_the_bag_recorded_and_the_overrides_change_it
     assert tool.said('/peer receives nothing on /wrench'), tool.output
     assert len(peer.heard['/wrench']) == 0
     assert len(peer.heard['/joint_states']) == 60
+
+
+@pytest.mark.parametrize('named_at', [1.0, None])
+def test_a_subscriber_is_waited_for_until_it_has_a_name(named_at):
+    """A sentence about it named a number of DDS; who is not of ROS has no name, and is waited for no longer."""
+    now, info = 0.0, TopicEndpointInfo(node_name='_NODE_NAME_UNKNOWN_', node_namespace='_NODE_NAMESPACE_UNKNOWN_')
+    publisher = SimpleNamespace(topic_name='/wrench', get_subscription_count=lambda: 1)
+    check = SubscriberCheck(SimpleNamespace(outputs={'/wrench': publisher}, offers={'/wrench': Qos()},
+                                            get_subscriptions_info_by_topic=lambda _: [info]), 1)
+    with patch('time.monotonic', lambda: now):
+        while not check():
+            now += 0.1
+            if named_at is not None and now > named_at:
+                info.node_name, info.node_namespace = 'peer', '/'
+    assert (owner(info) == '/peer') == (named_at is not None)
+    assert now == pytest.approx((named_at or 0.0) + (SETTLE_S if named_at else NAMED_S), abs=0.25)
 
 
 def test_messages_come_at_their_time(tmp_path):

@@ -17,7 +17,7 @@ from semiparam_ros.ros.estimator.process import parameter_files
 from semiparam_ros.settings import PARAMETERS, Settings, dump_params, load_params
 from semiparam_ros.settings.build import build_estimator, given_hyperparameters, hyperparameter_values
 from semiparam_ros.settings.documentation import page
-from semiparam_ros.settings.files import located, params_text, read_params, require_section
+from semiparam_ros.settings.files import located, params_text, read_params
 from semiparam_ros.settings.parameter_table import Parameter
 from semiparam_ros.settings.rules import RULES, broken_rule
 from semiparam_ros.settings.snapshot import refusal
@@ -82,7 +82,7 @@ def test_unknown_name_is_answered_with_the_nearest_and_the_file(tmp_path):
     ('estimator: {ros__parameters: {joints: shoulder}}', "joints is 'shoulder'; expected a list of texts"),
     ('estimator: {ros__parameters: {hyperparameters: {tau: [1.0, 2]}}}', 'mixes types'),
     ('estimator: {ros__parameters: [1, 2]}', "holds no 'ros__parameters:'"),
-    ('other: {ros__parameters: {variant: P}}', "no section for node 'estimator' \\(found: other\\)"),
+    ('other: {ros__parameters: {variant: P}}', 'ROS gives no section to the node estimator \\(found: other\\)'),
     ('estimator: [', 'not valid YAML in line 1'),
     ('', 'holds no parameters'),
 ])
@@ -104,6 +104,7 @@ def test_sections_apply_in_order_and_wildcards_may_hold_foreign_names(tmp_path):
 /**: {ros__parameters: {use_sim_time: true, publish_frequency: 3.0, sensor_frame: ft, variant: P}}
 estimator: {ros__parameters: {variant: SP-ML, qos_overrides./wrench.subscription.depth: 5}}
 /other: {ros__parameters: {variant: NP-ML}}
+/right/arm: {ros__parameters: {variant: P}}
 /left/arm: {ros__parameters: {variant: NP-ML}}
 """)
     assert load_params(path).variant == 'SP-ML'
@@ -297,10 +298,23 @@ def test_outputs_follow_from_the_sensor_frame(given, outputs, tmp_path):
 
 @pytest.mark.parametrize(('section', 'fits'), [
     ('estimator', [True, False, False]), ('/estimator', [True, False, False]), ('/**', [True, True, True]),
-    ('/**/estimator', [True, True, True]), ('/*/estimator', [False, True, False]),
-    ('/left/estimator', [False, True, False]), ('/left/**', [False, True, True]), ('other', [False, False, False])])
+    ('/**/estimator', [True, True, True]), ('/*/estimator', [False, True, False]), ("'*'", [True, False, False]),
+    ('/left/estimator', [False, True, False]), ('/left/**', [False, True, True]), ('other', [False, False, False]),
+    ('estimator/', [False, False, False]), ('left: {estimator', [False, True, False])])
 def test_sections_are_those_that_ros_takes(tmp_path, section, fits):
-    path = write(tmp_path / 'p.yaml', f'{section}: {{ros__parameters: {{}}}}')
+    end = '}' * section.count('{')
+    path = write(tmp_path / 'p.yaml', f'{section}: {{ros__parameters: {{}}}}{end}')
     for name, fit in zip(('/estimator', '/left/estimator', '/left/arm/estimator'), fits, strict=True):
         with nullcontext() if fit else pytest.raises(SemiparamError, match='ROS gives no section to the node'):
-            require_section(path, name)
+            read_params(path, name)
+
+
+def test_a_bare_name_is_that_of_the_only_node_of_this_name_in_a_file(tmp_path):
+    """Commands that start no node know no namespace; of two arms in one file they mixed the values."""
+    text = '/**: {ros__parameters: {sensor_frame: ft}}\n/left/estimator: {ros__parameters: {variant: P}}\n'
+    path = write(tmp_path / 'p.yaml', text)
+    assert read_params(path) == {'sensor_frame': 'ft', 'variant': 'P'}
+    write(path, text + 'right: {estimator: {ros__parameters: {variant: NP-ML}}}')
+    assert read_params(path, '/left/estimator')['variant'] == 'P'
+    with pytest.raises(SemiparamError, match=r'several nodes \(.*, right/estimator\); expected those of one'):
+        load_params(path)

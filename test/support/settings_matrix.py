@@ -24,7 +24,6 @@ from covertable import make
 from semiparam_ros.bags.loading import sample_stream
 from semiparam_ros.core.horizon_error import HorizonErrors
 from semiparam_ros.core.initial_window import gathered_from
-from semiparam_ros.core.prediction import Prediction
 from semiparam_ros.core.robot.external_wrench import ExternalWrench
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Sample, Samples
@@ -350,7 +349,7 @@ class Live(Stage):
         prediction = answer.prediction
         self.record.answers.append((prediction.sample.stamp, answer.learnt, answer.contact, prediction.ready,
                                     prediction.mean.tolist(), prediction.std.tolist(),
-                                    outside(self.external, prediction, answer.residual, self.learner.gate.widening)))
+                                    outside(self.external, answer, self.learner.gate.widening)))
 
     def horizon_completed(self, errors: HorizonErrors) -> None:
         self.record.horizon(errors)
@@ -377,10 +376,9 @@ class Live(Stage):
         return self.record
 
 
-def outside(external: ExternalWrench, prediction: Prediction, residual: np.ndarray,
-            widening: np.ndarray) -> list[float]:
+def outside(external: ExternalWrench, answer: Answer, widening: np.ndarray) -> list[float]:
     """The external wrench and its deviations."""
-    found = external.of(prediction, residual, widening)
+    found = external.of(answer.prediction, answer.residual, widening, answer.followed)
     return [*found.wrench.tolist(), *found.std.tolist()]
 
 
@@ -390,7 +388,7 @@ def offline(settings: Settings, samples: list[Sample], tares: list[int], takeove
     tare, external = Tare(learner.estimator.body.n_outputs), ExternalWrench(learner.estimator.body, 'ft')
     forces: list[list[float]] = []
     learner.on_answer = lambda answer, widening: forces.append(
-        outside(external, answer.prediction, answer.residual, widening))
+        outside(external, answer, widening))
     for index, sample in enumerate(samples):
         if index in tares:
             tare.take()

@@ -9,8 +9,9 @@ frame's Jacobian, -J(q)'. Then
 
     F = L A' (A L A' + R)^-1 r,     covariance = L - L A' (A L A' + R)^-1 A L
 
-damped least squares with the covariance R of the prediction and the forces L that people and tables bring about. A
-direction that the outputs do not feel, as of a singular or a short arm, is zero and keeps the deviation of L.
+damped least squares with the forces L that people and tables bring about, and the covariance R of the prediction.
+Without a contact gate R holds b b' too: what the offset b that wanders took may be a push. A direction that the
+outputs do not feel, as of a singular or a short arm, is zero and keeps the deviation of L.
 """
 
 from __future__ import annotations
@@ -81,12 +82,13 @@ class ExternalWrench:
         to_frame = pin.updateFramePlacement(model, data, self._index).rotation.T
         return np.hstack([maps[:, :3] @ to_frame, maps[:, 3:] @ to_frame])
 
-    def of(self, prediction: Prediction, residual: Array, widening: Array) -> External:
+    def of(self, prediction: Prediction, residual: Array, widening: Array, followed: Array | float = 0.0) -> External:
         """Wrench at a sample of which the model leaves ``residual`` (n,) of what was measured.
 
         :param widening: (n,) how much wider than the model's own its bands are in free motion.
+        :param followed: (n,) what the wandering offset took that may be a push.
         """
-        noise = prediction.model_covariance * np.outer(widening, widening)
+        noise = prediction.model_covariance * np.outer(widening, widening) + np.outer(followed, followed)
         if self._at_sensor:
             return External(-self._body.sign * residual, noise)
         maps = self.outputs_of(prediction.sample.position)

@@ -62,7 +62,7 @@ class Autosave:
             self._say(f'there is no checkpoint to go on from in {self.checkpoints.path.parent}; learning begins anew.'
                       f'{kept if self.checkpoints.remarks and self._active else ""}')
         else:
-            self._say(f'the checkpoint is loaded: {saved.settings.variant} with {len(saved.batch)} samples.')
+            self._say(f'the checkpoint is loaded: {saved.sentence}.')
         return saved
 
     def newest(self, settings: Settings, body: RigidBody) -> SavedState | None:

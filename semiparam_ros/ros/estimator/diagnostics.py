@@ -511,6 +511,9 @@ class Reports:
         for topic in self._inputs.newly_unheard():
             self.say(f'{topic} has a best_effort publisher beside reliable ones, which alone are heard; '
                      'reliability: best_effort hears both.', self._node.get_logger().warning)
+        for topic, owners in self._inputs.newly_shared():
+            self.say(f'{len(owners)} publish on {topic}: {", ".join(owners)}. All that holds this robot\'s joints or '
+                     'sensor is learnt.', self._node.get_logger().warning)
         learner = self._learner()
         self._log_stage(learner)
         if learner is None:

@@ -159,7 +159,7 @@ class Services:
             saved = saved._replace(settings=state_file.adopted(self._parameters.settings, saved.settings))
             current.restore(saved)
             self._parameters.write(saved.settings)
-            return f'{path} is loaded: {saved.settings.variant} with {len(saved.batch)} samples.'
+            return f'{path} is loaded: {saved.sentence}.'
 
         self._aside('~/load_state', partial(state_file.load, path, settings, learner.body), loaded, reply)
 

@@ -28,6 +28,7 @@ from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online.worker import Scheduler
 from semiparam_ros.ros.cdr import Layout, Reader, joint_state_layout_of, wrench_layout_of
 from semiparam_ros.ros.context import REPLACEABLE
+from semiparam_ros.ros.discovery import owner
 from semiparam_ros.settings.snapshot import Settings
 
 NEEDED = 5
@@ -216,6 +217,7 @@ class InputStream:
         self.stream: SampleStream | None = None
         self.best_effort: set[str] = set()
         self._unheard: set[str] = set()
+        self._owners: dict[str, list[str]] = {}
         self._joints: tuple[str, ...] | None = None
         self._early: list[tuple[str, Reading]] = []
         self._watch = ClockWatch()
@@ -271,6 +273,18 @@ class InputStream:
                   if topic not in self._unheard and any(offers) and not all(offers)]
         self._unheard.update(topics)
         return topics
+
+    def newly_shared(self) -> list[tuple[str, list[str]]]:
+        """Topics on which several publish, but temperatures, and the nodes that do; the same ones once."""
+        shared = []
+        for topic in self.topics:
+            if topic != TEMPERATURE and self.publishers(topic) > 1:
+                name = self._node.resolve_topic_name(topic)
+                owners = sorted(map(owner, self._node.get_publishers_info_by_topic(name)))
+                if self._owners.get(topic) != owners:
+                    self._owners[topic] = owners
+                    shared.append((topic, owners))
+        return shared
 
     def _unheard_offers(self) -> Iterator[tuple[str, list[bool]]]:
         """Whether each publisher offers best_effort, of topics that may be asked anew."""
