@@ -11,6 +11,7 @@ import time
 import weakref
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -642,6 +643,21 @@ def test_a_payload_is_a_body_or_not_told_and_nothing_is_told_before_there_is_a_m
     assert nothing.mass == 0.5 and nothing.std.mass == 1.0 and np.isnan(nothing.centre).all()
 
 
+PINNED = []
+
+
+def use_memory():
+    """What glibc keeps to itself: arrays that lie between others that stay."""
+    del [np.ones(4_000_000)][:]  # from now on arrays of that size lie in the heap
+    arrays = [np.ones(1_000_000) for _ in range(30)]
+    PINNED.append(np.ones(1_000_000))
+    del arrays
+
+
+def resident_mb():
+    return int(Path('/proc/self/statm').read_text().split()[1]) * os.sysconf('SC_PAGESIZE') / 1e6
+
+
 def test_a_process_runs_jobs_hands_back_results_and_is_replaced_when_it_dies(tmp_path):
     tasks = queue.Queue()
     background, results = ProcessBackground(lambda *task: tasks.put(partial(*task))), []
@@ -655,6 +671,9 @@ def test_a_process_runs_jobs_hands_back_results_and_is_replaced_when_it_dies(tmp
     assert run(max, 1, 3) == (3, None)
     assert run(os.getpid)[0] != os.getpid()
     assert isinstance(run(int, 'x')[1], ValueError)
+    before, _ = run(resident_mb)
+    assert run(use_memory)[1] is None
+    assert run(resident_mb)[0] - before < 100.0, 'what a job used is given back'
     process, _ = run(os.getpid)
     pointless = background.submit(work_for_ever, tmp_path / 'begun', done=lambda result, error: results.append('never'))
     while not (tmp_path / 'begun').exists():
