@@ -70,6 +70,13 @@ def searched_once():
         yield
 
 
+@pytest.fixture(scope='session', autouse=True)
+def own_ros_home(tmp_path_factory):
+    """States and logs of nodes that are given no folder: not the user's own, where another node may be at work."""
+    with patch.dict(os.environ, ROS_HOME=str(tmp_path_factory.mktemp('ros_home'))):
+        yield
+
+
 @pytest.fixture(scope='session')
 def repository() -> Path:
     """The checkout that is being tested."""
