@@ -1,7 +1,7 @@
-"""Nodes as processes of their own that have nothing to load: one process loads the package, and is forked for each.
+"""Commands as processes of their own that have nothing to load: one process loads the node, and is forked for each.
 
-Loading takes a second of processor time, a fork a hundredth. That a node starts from nothing is looked at by
-test_stop_signals.py, test_examples.py, test_node_errors.py and the blocks of the documentation.
+A node takes a second of processor time to load, a fork a hundredth. That commands start from nothing is looked at by
+test_stop_signals.py, test_demo.py, test_examples.py, test_node_errors.py and the blocks of the documentation.
 """
 
 import atexit
