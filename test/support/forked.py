@@ -15,6 +15,14 @@ from contextlib import suppress
 from functools import cache
 
 
+def start(arguments, log, environment):
+    """`semiparam` with these arguments as a process. Coverage does not count what is forked: there it loads."""
+    if 'COVERAGE_PROCESS_CONFIG' in os.environ:
+        return subprocess.Popen([sys.executable, '-m', 'semiparam_ros.cli.main', *arguments], env=environment,
+                                stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT)
+    return ForkedProcess(arguments, log, environment)
+
+
 class ForkedProcess:
     """`semiparam ...`, with what the tests use of ``subprocess.Popen``."""
 

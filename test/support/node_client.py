@@ -21,7 +21,7 @@ from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from support.forked import ForkedProcess
+from support import forked
 from support.replay_peers import ServedNode, meet
 
 PATIENCE_S = 240.0
@@ -45,7 +45,7 @@ class NodeProcess:
         arguments = ['run', '--params', str(params), *(['--ros-args', *ros_arguments] if ros_arguments else [])]
         self.process = subprocess.Popen(
             [sys.executable, *program, *arguments], stdout=self.stream, stderr=subprocess.STDOUT, env=environment,
-        ) if program else ForkedProcess(arguments, self.stream, environment)
+        ) if program else forked.start(arguments, self.stream, environment)
 
     def stop(self, number=signal.SIGINT):
         """Send a signal; the exit code."""

@@ -12,7 +12,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 
 from semiparam_ros.bags.writer import BagWriter
 from semiparam_ros.ros.message_types import message_class
-from support.forked import ForkedProcess
+from support import forked
 
 SECOND = 10**9
 START = 1_700_000_000 * SECOND
@@ -51,7 +51,7 @@ class Tool:
     def __init__(self, tmp_path, *arguments):
         self.log = tmp_path / f'{arguments[0]}-{time.monotonic_ns()}.log'
         with self.log.open('wb') as log:
-            self.process = ForkedProcess([*map(str, arguments)], log, {**os.environ, 'COLUMNS': '400'})
+            self.process = forked.start([*map(str, arguments)], log, {**os.environ, 'COLUMNS': '400'})
 
     def wait(self):
         """The exit code."""
