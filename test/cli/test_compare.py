@@ -356,16 +356,16 @@ def test_a_finding_that_does_not_hold_is_said_not_to(change, fails):
 
 @pytest.mark.slow
 def test_findings_on_the_bundled_recordings(repository, tmp_path):
-    """All seven models over three feature draws, with fewer features and shorter parts than the default: the paper's
+    """All seven models over two feature draws, with fewer features and shorter parts than the default: the paper's
     findings hold, P's error is a multiple of the others', and the bands hold what they promise on the known motion."""
     bags = [repository / 'bags' / name for name in ('icub_xy.mcap', 'icub_xz.mcap')]
     params = tmp_path / 'arm.yaml'
     settings = load_params(repository / 'config/icub_right_arm.yaml')
     dump_params(replace(settings, features_count=100, initial_samples=500), params)
-    found = document(tmp_path / 'result.json', 'compare', *bags, '--params', params, '--seeds', 3, '--starts', 1,
+    found = document(tmp_path / 'result.json', 'compare', *bags, '--params', params, '--seeds', 2, '--starts', 1,
                      '--jobs', 1, '--train-samples', 1500, '--subsets', 2, '--subset-samples', 900,
                      '-o', tmp_path / 'p.html')
-    assert found['seeds'] == [0, 1, 2]
+    assert found['seeds'] == [0, 1]
     assert {finding['name']: finding['holds'] for finding in found['findings']} == {
         'parametric_is_worst': True, 'likelihood_beats_validation': True, 'semi_parametric_is_best_average': True,
         'semi_parametric_is_best_spread': True, 'others_are_close': True}

@@ -21,6 +21,7 @@ from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from support import forked
 from support.replay_peers import ServedNode, meet
 
 PATIENCE_S = 240.0
@@ -35,15 +36,16 @@ TYPES = {'joint_states': JointState, 'wrench': WrenchStamped, 'joint_acceleratio
 
 
 class NodeProcess:
-    """`semiparam run` with the parameters and ROS arguments given."""
+    """`semiparam run` with the parameters and ROS arguments given; ``program``: another script, from its start."""
 
-    def __init__(self, folder, params, *ros_arguments, program=('-m', 'semiparam_ros.cli.main')):
+    def __init__(self, folder, params, *ros_arguments, program=()):
         self.log = folder / 'node.log'
         self.stream = self.log.open('wb')
         environment = {**os.environ, 'OMP_NUM_THREADS': '1', 'ROS_LOG_DIR': str(folder / 'ros_log')}
-        command = [sys.executable, *program, 'run', '--params', str(params)]
-        command += ['--ros-args', *ros_arguments] if ros_arguments else []
-        self.process = subprocess.Popen(command, stdout=self.stream, stderr=subprocess.STDOUT, env=environment)
+        arguments = ['run', '--params', str(params), *(['--ros-args', *ros_arguments] if ros_arguments else [])]
+        self.process = subprocess.Popen(
+            [sys.executable, *program, *arguments], stdout=self.stream, stderr=subprocess.STDOUT, env=environment,
+        ) if program else forked.start(arguments, self.stream, environment)
 
     def stop(self, number=signal.SIGINT):
         """Send a signal; the exit code."""

@@ -137,7 +137,7 @@ def workers(node):
         if entry.name.isdigit():
             with contextlib.suppress(OSError):
                 parent = int((entry / 'stat').read_text().rpartition(')')[2].split()[1])
-                if parent == node.process.pid and b'spawn_main' in (entry / 'cmdline').read_bytes():
+                if parent == node.process.pid and b'resource_tracker' not in (entry / 'cmdline').read_bytes():
                     found.append(int(entry.name))
     return sorted(found)
 
@@ -192,6 +192,7 @@ def _estimates_in_vain(folder, times, fault):
                 robot.move(window // 2)
             assert client.trigger('reset').success
         given_up = node.output.count('gives no hyperparameters')
+    assert given_up == 0 if fault is exhaust else given_up, 'the worker that took its place was killed too'
     return {'faults': times, 'windows given up': given_up, 'estimated at the second try': times - given_up,
             'samples answered': robot.played}
 
@@ -226,6 +227,7 @@ def killed_while_building(folder, full):
         assert client.set(variant='P')[0].successful
         client.wait_report('learning', lambda level, message, values: message == 'learning with P.')
         robot.move(100)
+    assert taken < times, 'the worker that took its place was killed too'
     return {'faults': times, 'models given up': times - taken, 'models built at the second try': taken,
             'samples answered': robot.played}
 

@@ -2,8 +2,6 @@
 
 import os
 import signal
-import subprocess
-import sys
 import threading
 import time
 
@@ -14,6 +12,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 
 from semiparam_ros.bags.writer import BagWriter
 from semiparam_ros.ros.message_types import message_class
+from support import forked
 
 SECOND = 10**9
 START = 1_700_000_000 * SECOND
@@ -52,9 +51,7 @@ class Tool:
     def __init__(self, tmp_path, *arguments):
         self.log = tmp_path / f'{arguments[0]}-{time.monotonic_ns()}.log'
         with self.log.open('wb') as log:
-            self.process = subprocess.Popen([sys.executable, '-m', 'semiparam_ros.cli.main', *map(str, arguments)],
-                                            stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT,
-                                            env={**os.environ, 'COLUMNS': '400'})
+            self.process = forked.start([*map(str, arguments)], log, {**os.environ, 'COLUMNS': '400'})
 
     def wait(self):
         """The exit code."""
