@@ -71,7 +71,7 @@ class KnownEffect:
     score: float = 0.0
     """g [nat]"""
     since: int = 0
-    """[ns] when g was last zero."""
+    """[ns] when the first block began that spoke for it."""
     begun: int = 0
     """[ns] when it was applied; 0 where that was long ago, or before a jump of the clock."""
     tried_s: float = 0.0
@@ -250,10 +250,11 @@ class AppliedEffects:
             elif trial.score > 0.0:
                 trial.squares = trial.squares + there[::-1]
             kappa = noise * max((power - max(gained, 0.0)) / usual, 1.0)
+            trial.since = block.start if trial.score == 0.0 else trial.since
             trial.score += gained / (2.0 * kappa)
             trial.tried_s += BLOCK_S * (not trial.applied and not trial.remembered)
             if trial.score <= 0.0:
-                trial.score, trial.since = 0.0, block.end
+                trial.score = 0.0
                 trial.squares = trial.squares * trial.applied
                 trial.leaves = trial.shares if trial.applied else trial.leaves
         may_switch = self.trials if applies else self.applied

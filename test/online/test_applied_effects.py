@@ -210,6 +210,18 @@ def test_a_push_is_no_load_that_is_known(start):
     assert decided[1][1] - LOADED_S[1] < 2.0
 
 
+def test_a_load_that_was_put_down_while_the_clock_jumped_is_taken_back():
+    """Since when it speaks for that was a stamp of before the jump, later than all that came."""
+    body, samples, _ = loaded()
+    stage = offered(body, samples[samples.time < LOADED_S[0] + 15.0], diagnosis_auto='apply')
+    assert stage.learner.changes.applied.applied
+    stage.learner.clear_pending()  # as the node does
+    later = samples[(samples.time > LOADED_S[1]) & (samples.time < LOADED_S[1] + 5.0)]
+    stage.offer(replace(later, stamps=later.stamps - round(3600e9)))
+    assert not stage.learner.changes.applied.applied
+    assert stage.changes[-1].decisions[-1].what == TAKEN_BACK
+
+
 def test_what_is_applied_is_saved_with_the_model_and_goes_on(tmp_path):
     """Saved after it was named for the third time, 25 s after it began."""
     body, samples, _ = loaded()
