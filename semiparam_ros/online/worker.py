@@ -50,8 +50,8 @@ Scheduler: TypeAlias = Callable[..., object]
 
 
 class Urgency(IntEnum):
-    """Urgency of a job: the more urgent come first, and a shadow gives way to a model that is to
-    take over."""
+    """Urgency of a job: the more urgent come first, and all give way to a model that is to take
+    over."""
 
     SHADOW = 0
     ASKED = 1
