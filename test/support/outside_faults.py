@@ -227,7 +227,7 @@ def killed_while_building(folder, full):
         assert client.set(variant='P')[0].successful
         client.wait_report('learning', lambda level, message, values: message == 'learning with P.')
         robot.move(100)
-    assert taken < times, 'the worker that took its place was killed too'
+    assert taken < times or not full, 'of ten that were killed twice one had not built its model before'
     return {'faults': times, 'models given up': times - taken, 'models built at the second try': taken,
             'samples answered': robot.played}
 
