@@ -75,6 +75,7 @@ class Restarts:
     def start_another(self, client, node):
         """One of the same name, which must say so and write nothing."""
         (self.folder / 'another').mkdir(exist_ok=True)
+        node.process.send_signal(signal.SIGSTOP)  # what is written now is not its own
         before = {path.name for path in self.states.glob('*.npz')}
         with NodeProcess(self.folder / 'another', self.folder / 'p.yaml') as another:
             client.wait(lambda: ANOTHER in another.output, 'the other one says so')
@@ -84,6 +85,7 @@ class Restarts:
         owner = int((self.states / 'estimator.lock').read_text())
         if owner != node.process.pid or {path.name for path in self.states.glob('*.npz')} - before:
             self.lost.append(f'start {self.number}: the other node of its name wrote')
+        node.process.send_signal(signal.SIGCONT)
         self.done['another node of the same name beside it'] += 1
 
     def look(self, settings):

@@ -217,6 +217,7 @@ class InputStream:
         self.stream: SampleStream | None = None
         self.best_effort: set[str] = set()
         self._unheard: set[str] = set()
+        self._seen_owners: dict[str, list[str]] = {}
         self._owners: dict[str, list[str]] = {}
         self._joints: tuple[str, ...] | None = None
         self._early: list[tuple[str, Reading]] = []
@@ -275,15 +276,19 @@ class InputStream:
         return topics
 
     def newly_shared(self) -> list[tuple[str, list[str]]]:
-        """Topics on which several publish, but temperatures, and the nodes that do; the same ones once."""
+        """Topics on which several publish, but temperatures, and the nodes that do; the same ones once.
+
+        They have a second to tell their names, and are told at the next look.
+        """
         shared = []
         for topic in self.topics:
             if topic != TEMPERATURE and self.publishers(topic) > 1:
                 name = self._node.resolve_topic_name(topic)
                 owners = sorted(map(owner, self._node.get_publishers_info_by_topic(name)))
-                if self._owners.get(topic) != owners:
+                if self._seen_owners.get(topic) == owners != self._owners.get(topic):
                     self._owners[topic] = owners
                     shared.append((topic, owners))
+                self._seen_owners[topic] = owners
         return shared
 
     def _unheard_offers(self) -> Iterator[tuple[str, list[bool]]]:
