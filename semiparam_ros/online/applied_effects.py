@@ -17,7 +17,8 @@ is the log evidence [nat] for the other state: applied or not. The cumulative su
     g <- max(0, g + d_b)
 
 exceeds ``SURE``, and g was last zero when it came or went. One that is tried begins with g = 0 after
-it was named: only what comes then speaks for it.
+it was named: only what comes then speaks for it. One that is known, as it is or was applied, comes
+or goes only where a contact is less likely (:meth:`~semiparam_ros.online.changes.ChangeDetector.contact_rather`).
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ from semiparam_ros.core.types import Array
 from semiparam_ros.effects import Effect, effect_from_text, effect_to_text
 from semiparam_ros.effects.base import STAMP_TOLERANCE_NS, Span
 from semiparam_ros.effects.loads import Payload
-from semiparam_ros.online.changes import BLOCK_S, CONTACT_S, SURE, MotionBlock
+from semiparam_ros.online.changes import BLOCK_S, CONTACT_S, SURE, MotionBlock, gained
 from semiparam_ros.online.identified_parameters import Load
 
 TRIED_S = 30.0
@@ -241,17 +242,17 @@ class AppliedEffects:
         :param applies: False: those that are applied alone may switch.
         """
         squares, power = block.own[-1], float(block.own[-1].sum())
-        for trial, (along, own) in zip(self.trials, block.added, strict=True):
-            gains = -2.0 * along - own if trial.applied else 2.0 * along - own
-            gained = float(gains.sum())
+        for trial, added in zip(self.trials, block.added, strict=True):
+            gains = gained(added, came=not trial.applied)
+            gain = float(gains.sum())
             there = (squares, squares - gains)
             if trial.applied:
                 trial.squares = trial.squares + there
             elif trial.score > 0.0:
                 trial.squares = trial.squares + there[::-1]
-            kappa = noise * max((power - max(gained, 0.0)) / usual, 1.0)
+            kappa = noise * max((power - max(gain, 0.0)) / usual, 1.0)
             trial.since = block.start if trial.score == 0.0 else trial.since
-            trial.score += gained / (2.0 * kappa)
+            trial.score += gain / (2.0 * kappa)
             trial.tried_s += BLOCK_S * (not trial.applied and not trial.remembered)
             if trial.score <= 0.0:
                 trial.score = 0.0

@@ -165,6 +165,13 @@ class MotionBlock(NamedTuple):
     """(m, 2, n) of each output the sums of w r k and w k^2, of what known effects add, k."""
 
 
+def gained(added: Array, came: bool) -> Array:
+    """(..., n) squares of each output that known effects explain which ``came``, or went, by the
+    sums (..., 2, n) that a block has of them."""
+    along, own = np.moveaxis(added, -2, 0)
+    return np.asarray((2.0 if came else -2.0) * along - own)
+
+
 class Usual:
     """What causes explain in free motion over windows of one length, and which ratio to that stands
     out.
@@ -680,8 +687,8 @@ class ChangeDetector:
         went = np.zeros((len(self._blocks) + 1, found.shape[1] + (followed is not None)))
         for row, block in enumerate(self._blocks):
             if block.added.shape[:1] == found.shape[1:]:
-                along, own = block.added.sum(axis=2).T
-                found[row], went[row, : len(own)] = 2.0 * along - own, -2.0 * along - own
+                found[row] = gained(block.added, True).sum(axis=1)
+                went[row, : found.shape[1]] = gained(block.added, False).sum(axis=1)
         if followed is not None:
             went[:-1, -1] = -self._gained(followed)
         explained = _since(np.hstack([found, went]), starts + 1) + power[starts, None]
@@ -736,16 +743,17 @@ class ChangeDetector:
 
         :param row: of the effect in what known effects add.
         """
-        blocks = [block for block in self._blocks if block.start >= since and len(block.added) > row]
+        m = len(self._blocks[-1].added) if self._blocks else 0  # others were known before
+        blocks = [block for block in self._blocks if block.start >= since and len(block.added) == m]
         if len(blocks) < 2:
             return True
         if len(blocks) > LASTING:
             return False
         after = blocks[1:]
-        along, own = np.sum([block.added[row] for block in after], axis=0)
+        added = np.sum([block.added[row] for block in after], axis=0)
         usual = float(np.median(self._power)) * len(after)
-        kappa = self.noise * max(float(np.square(shares) @ own) / usual, 1.0)
-        known = float(((2.0 if came else -2.0) * along - own).sum() / (2.0 * kappa))
+        kappa = self.noise * max(float(np.square(shares) @ added[1]) / usual, 1.0)
+        known = float(gained(added, came).sum() / (2.0 * kappa))
         return known <= max(float(self._contact(after, np.array([kappa])).max()), 0.0)
 
     def _end(self, followed: Followed) -> int | None:
