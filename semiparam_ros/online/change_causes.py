@@ -43,6 +43,10 @@ class Cause(NamedTuple):
     price: float
 
 
+LEARNING = Cause('learning', None, slice(0, 0), 0.0)
+"""Nothing changed, but the model did not know its coefficients any better."""
+
+
 def causes_of(columns: CoupledColumns) -> tuple[list[Cause], Array]:
     """What may change on a robot, and the directions L (p + t, K) of all of them in units of their
     priors; p: columns of the model without those of effects, t: small turns."""

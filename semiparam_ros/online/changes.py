@@ -30,14 +30,12 @@ noise kappa S^2. kappa is the usual mean square, and grows with what the best hy
     touched    the same of a w that goes along a line from each edge of the blocks to the next one,
                and is a random walk from edge to edge
     known      sum (r' S^-2 r - r~' S^-2 r~) / (2 kappa), r~ what a known effect leaves
-    learning   (P h)' (I + A P)^-1 h / (2 kappa) - log|I + A P| / 2
+    learning   as changed, with theta ~ N(0, P), P the covariance that the model gives theta
 
-Learning: nothing has changed, but the model did not know its coefficients any better; P is the
-covariance that it gives them, in units of their prior, and kappa P what it is beside the noise that
-is usual. It goes on from there as it stands. A change is told once it has ``SURE`` nat more than
-all others, those of other causes for six seconds too. It may have begun at any of the last 32
-blocks. The price is minus the log of the prior probability: robots pick up and put down, and the
-rest is rare.
+Where learning is likeliest, the model goes on as it stands. A change is told once it has ``SURE``
+nat more than all others, those of other causes for six seconds too. It may have begun at any of the
+last 32 blocks. The price is minus the log of the prior probability: robots pick up and put down,
+and the rest is rare.
 
 The model predicts with the coefficients that it had eight seconds of motion ago, for it learns a
 change within a few; and, as long as anything stands out, with those from before. A change that was
@@ -66,6 +64,7 @@ from semiparam_ros.core.stamps import observed_s
 from semiparam_ros.core.types import Array, Indices
 from semiparam_ros.effects.loads import Payload
 from semiparam_ros.online.change_causes import (
+    LEARNING,
     CauseFit,
     Judged,
     causes_of,
@@ -418,8 +417,7 @@ class ChangeDetector:
     def _refer(self) -> None:
         """Compare with the model from before the longest window from now on."""
         assert self._model is not None
-        # what noise repeats is in kappa
-        everything = self._model.recursion.theta_covariance(white=True)
+        everything = self._model.recursion.theta_covariance()
         columns = self._own_columns
         scale = np.outer(self._own_scale, self._own_scale)
         covariance = everything[np.ix_(columns, columns)] / scale
@@ -660,11 +658,12 @@ class ChangeDetector:
             CauseFit.of(cause, grams[:, cause.part, cause.part], sums[:, cause.part])
             for cause in self.causes
         ]
-        learnt, gained, volume = self._learning(grams, sums)
-        left = _since(power, starts) - np.max([learnt, *(fit.explained for fit in fits)], axis=0)
+        learns = self._learning(grams, sums)
+        explained = np.max([fit.explained for fit in (learns, *fits)], axis=0)
+        left = _since(power, starts) - explained
         growth = np.maximum(left / (np.median(self._power) * counts), 1.0)
         kappa = self.noise * STEP ** np.round(np.log(growth) / log(STEP))
-        learning, touched = 0.5 * (gained / kappa - volume), self._touched(kappa, starts)
+        learning, touched = learns.evidence(kappa), self._touched(kappa, starts)
         known = self._known(starts, power, followed) / (2.0 * kappa)
         alone = np.array([fit.evidence(kappa) - fit.cause.price for fit in fits])
         most = max(float(each.max()) for each in (touched, known, alone))
@@ -706,16 +705,15 @@ class ChangeDetector:
                     )
         return gained
 
-    def _learning(self, grams: Array, sums: Array) -> tuple[Array, Array, Array]:
-        """(S,) the squares that coefficients within the model's own covariance P explain of windows
-        with these sums, h' P (I + A P)^-1 h, and log|I + A P|."""
-        part, covariance = self._own_part, self._covariance
-        grams, sums = grams[:, part[:, None], part], sums[:, part]
-        whole = np.eye(len(part)) + grams @ covariance
-        theta = (covariance @ np.linalg.solve(whole, sums[..., None]))[..., 0]
-        gained = np.asarray((sums * theta).sum(axis=1))
-        explained = 2.0 * gained - np.einsum('sk,skj,sj->s', theta, grams, theta)
-        return np.asarray(explained), gained, np.linalg.slogdet(whole)[1]
+    def _learning(self, grams: Array, sums: Array) -> CauseFit:
+        """How well coefficients that the model knows no better, of covariance P, explain windows
+        with these sums."""
+        part = self._own_part
+        values, vectors = np.linalg.eigh(self._covariance)
+        root = vectors * np.sqrt(np.maximum(values, 0.0))
+        return CauseFit.of(
+            LEARNING, root.T @ grams[:, part[:, None], part] @ root, sums[:, part] @ root
+        )
 
     def _touched(self, kappa: Array, starts: Indices) -> Array:
         """(S,) log evidence of a contact that began at any block since each of some starts, with

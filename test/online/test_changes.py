@@ -10,7 +10,7 @@ from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.model import ModelOptions
 from semiparam_ros.diagnosis.change import gain_since, name_change
 from semiparam_ros.effects import effect_from_text
-from semiparam_ros.online.changes import LENGTHS, ChangeDetector
+from semiparam_ros.online.changes import LENGTHS, USUAL, ChangeDetector
 from semiparam_ros.online.wandering_contact import WANDERS, wandering
 from support.changing_arm import LOADED_S, elbow_rests, free, loaded, offered, pushed
 
@@ -95,6 +95,27 @@ def test_what_the_model_learns_when_a_joint_begins_to_move_is_no_change():
     assert not stage.changes
     assert stage.learner.changes.state == 'as it was'
     assert stage.learner.changes.detector.before is None, 'it goes on with what was learnt'
+
+
+@pytest.mark.parametrize('usual', [1.0, 1e4])
+def test_what_the_model_does_not_know_yet_is_learnt_whatever_noise_is_usual(usual):
+    """A first window that was predicted badly made friction that was not known yet a change."""
+    body, samples = free()
+    detector = told(body, samples[samples.time < 40.0])[2]
+    for each in detector._usual:
+        each._squares.extend([np.full(len(detector.causes), usual)] * USUAL)
+    (offset,) = (cause.part for cause in detector.causes if cause.kind == 'sensor_offset')
+    own = np.isin(detector._own_part, np.arange(offset.start, offset.stop))
+    detector._covariance = np.diag(own.astype(float))
+    theta = np.random.default_rng(0).standard_normal(own.sum())
+    scale = 200.0 * usual / (theta @ sum(block.gram[offset, offset] for block in detector._blocks) @ theta)
+    for number, block in enumerate(detector._blocks):
+        moment, sums = scale * block.gram[:, offset] @ theta, block.own.copy()
+        sums[-1] = theta @ moment[offset] / len(sums[-1])
+        detector._blocks[number] = block._replace(gram=scale * block.gram, moment=moment, own=sums)
+    best, learns = detector._likeliest(None)
+    assert learns
+    assert best.evidence < 0.0
 
 
 @pytest.mark.parametrize(('seed', 'newton'), [(3, 15.0), (4, 30.0)])
