@@ -115,10 +115,11 @@ class CauseFit(NamedTuple):
         share = (self.values + 2.0) / (self.values + 1.0) ** 2
         return np.asarray((self.along**2 * share).sum(axis=1))
 
-    def evidence(self, kappa: Array) -> Array:
-        """(S,) log evidence over none, the noise being kappa (S,)."""
-        whole = self.values + kappa[:, None]
-        explained = (self.along**2 / whole).sum(axis=1) / kappa
+    def evidence(self, kappa: Array, wider: Array | float = 1.0) -> Array:
+        """(S,) log evidence over none, the noise being kappa (S,), and the prior's covariance so
+        many times as large (S, 1)."""
+        whole = wider * self.values + kappa[:, None]
+        explained = (wider * self.along**2 / whole).sum(axis=1) / kappa
         return np.asarray(0.5 * (explained - np.log(whole / kappa[:, None]).sum(axis=1)))
 
     def theta(self, kappa: Array) -> Array:

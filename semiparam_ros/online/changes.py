@@ -30,8 +30,10 @@ noise kappa S^2. kappa is the usual mean square, and grows with what the best hy
     touched    the same of a w that goes along a line from each edge of the blocks to the next one,
                and is a random walk from edge to edge
     known      sum (r' S^-2 r - r~' S^-2 r~) / (2 kappa), r~ what a known effect leaves
-    learning   as changed, with theta ~ N(0, P), P the covariance that the model gives theta
+    learning   as changed, with theta ~ N(0, P), P the covariance that the model gives theta, or
+               kappa P: that of noise kappa
 
+kappa is large where noise is, or where the first windows were predicted badly; which, is not known.
 Where learning is likeliest, the model goes on as it stands. A change is told once it has ``SURE``
 nat more than all others, those of other causes for six seconds too. It may have begun at any of the
 last 32 blocks. The price is minus the log of the prior probability: robots pick up and put down,
@@ -663,7 +665,8 @@ class ChangeDetector:
         left = _since(power, starts) - explained
         growth = np.maximum(left / (np.median(self._power) * counts), 1.0)
         kappa = self.noise * STEP ** np.round(np.log(growth) / log(STEP))
-        learning, touched = learns.evidence(kappa), self._touched(kappa, starts)
+        learning = np.maximum(learns.evidence(kappa), learns.evidence(kappa, kappa[:, None]))
+        touched = self._touched(kappa, starts)
         known = self._known(starts, power, followed) / (2.0 * kappa)
         alone = np.array([fit.evidence(kappa) - fit.cause.price for fit in fits])
         most = max(float(each.max()) for each in (touched, known, alone))
