@@ -100,12 +100,17 @@ def _estimate(args: argparse.Namespace, settings: Settings) -> tuple[Estimate, s
 
 
 def _of_state(source: Path, settings: Settings) -> Estimate:
-    from semiparam_ros.export.estimate import from_estimator
+    from semiparam_ros.export.estimate import from_estimator, with_known
+    from semiparam_ros.online.applied_effects import AppliedEffects
     from semiparam_ros.online.state_file import load
     from semiparam_ros.settings.build import build_rigid_body
 
-    saved = load(source, settings, build_rigid_body(settings))
-    return from_estimator(saved.estimator, saved.batch.samples, str(source))
+    body = build_rigid_body(settings)
+    saved = load(source, settings, body)
+    changes = AppliedEffects(body)
+    changes.restore(saved.applied)
+    estimate = from_estimator(saved.estimator, saved.batch.samples, str(source))
+    return with_known(estimate, changes.applied)
 
 
 def _of_recording(source: Path, settings: Settings, keep_inertias: bool) -> tuple[Estimate, str]:

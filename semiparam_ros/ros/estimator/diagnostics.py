@@ -547,7 +547,7 @@ class Reports:
     def _consistent_parameters(self, learner: Learner, load: Load | None, sentence: str) -> Report:
         """Report of the latest bodies that were found; of what was learnt while there are none."""
         before = self._published
-        self._consistent.ask(learner.estimator, load, self.tally.stamp)
+        self._consistent.ask(learner, load, self.tally.stamp)
         found = self._published = self._consistent.found
         if found is None:
             return parameters_report(quantities(learner.estimator), {
