@@ -14,6 +14,7 @@ from semiparam_ros.errors import SemiparamError
 
 if TYPE_CHECKING:
     from semiparam_ros.core.robot.rigid_body import RigidBody
+    from semiparam_ros.core.samples import Samples
     from semiparam_ros.export.estimate import Estimate
     from semiparam_ros.export.identified import Identified
     from semiparam_ros.settings import Settings
@@ -110,6 +111,7 @@ def _of_state(source: Path, settings: Settings) -> Estimate:
     changes = AppliedEffects(body)
     changes.restore(saved.applied)
     estimate = from_estimator(saved.estimator, saved.batch.samples, str(source))
+    _require_right_setup(source, body, saved.batch.samples)
     return with_known(estimate, changes.applied)
 
 
@@ -121,9 +123,20 @@ def _of_recording(source: Path, settings: Settings, keep_inertias: bool) -> tupl
 
     bag = load_bags([source], settings, lambda rate: MOST_SAMPLES)[0]
     body = build_rigid_body(settings, bag.robot_description)
+    _require_right_setup(source, body, bag.samples)
     estimate = from_recording(body, declared_effects(settings), bag.samples,
                               settings.joint_friction, keep_inertias, str(source))
     return estimate, robot_description(settings, bag.robot_description)
+
+
+def _require_right_setup(source: Path, body: RigidBody, samples: Samples | None) -> None:
+    """Refuse samples of which a diagnosis would say that a sign, a unit, an order or a clock is wrong: bodies that
+    explain them are no robot's."""
+    from semiparam_ros.diagnosis.setup.checks import NO_MATCH, setup_problems
+
+    for problem in setup_problems(body, samples) if samples else ():
+        if problem.what != NO_MATCH:
+            raise SemiparamError(f'{source}: {problem.sentence}')
 
 
 def _text(form: str, body: RigidBody, urdf: str, found: Identified, flange: str | None) -> str:

@@ -123,6 +123,15 @@ def test_a_mistake_is_one_sentence_and_no_file(folder, tmp_path, monkeypatch, ca
     assert list(tmp_path.iterdir()) == []
 
 
+def test_what_a_wrong_sign_explains_is_no_robot(folder, tmp_path, monkeypatch, capsys):
+    """Bodies were written that no inertia explains, of a recording that a diagnosis refuses."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / 'p.yaml').write_text(PARAMS + '    wrench_convention: reaction\n')
+    assert f'{folder / "arm.mcap"}: The wrench has the opposite sign of what the robot description predicts' in refusal(
+        capsys, 'export', folder / 'arm.mcap', '--params', 'p.yaml', '--urdf', 'a.urdf', '--json', 'a.json')
+    assert [path.name for path in tmp_path.iterdir()] == ['p.yaml']
+
+
 def staged(params, variant='SPK-ML'):
     """Write a parameter file of a small model; return its settings and a learner of them."""
     params.write_text(PARAMS + f'    robot_description_file: {URDF}\n    initial.samples: 200\n'
