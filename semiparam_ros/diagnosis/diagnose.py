@@ -179,8 +179,8 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
     :param progress: called with a few words and the share of the round that is done.
     :param config: thresholds other than the usual ones.
 
-    Raises SemiparamError when the recording is too short, too little of it can be used, or nothing moves in it; with
-    the sentence of a mistake of the set-up where one is seen, for that may be why.
+    Raises SemiparamError when the recording is too short, too little of it can be used, or nothing moves in it; where
+    its clock is wrong, that may be why, and the error says so.
     """
     check(samples, body, config)
     samples = whole_groups(samples, working_factor(samples, config))
@@ -191,7 +191,8 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
     try:
         start = _first_model(body, samples, effects, _may_fit(samples, train_mask, other is not None, config), config)
     except SemiparamError as error:
-        raise (SemiparamError(suspected[0].sentence) if suspected else error) from None
+        clock = [problem.sentence for problem in suspected if problem.what == 'clock']  # leaves no time to look at
+        raise SemiparamError(clock[0] if clock else str(error)) from error
     require_enough(config, start.held_out if other is None else start.fitting)
     steps, setup, imitated = _searched(start, considered(body, only), suspected, progress, bool(only))
     recorded, elsewhere = _judging(start, samples, other)
