@@ -45,6 +45,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         'repeated. A payload among the effects of the parameters is one too')
     parser.add_argument('--keep-inertias', action='store_true',
                         help='links stay as described, so that loads explain what differs')
+    parser.add_argument('--kept-samples', action='store_true',
+                        help='of a state, fit the samples that it keeps, smoothed as those of a recording: sharper '
+                        'than what was learnt one by one, where the robot did not change meanwhile')
     parser.add_argument('--flange', metavar='LINK',
                         help="link in whose frame controllers' loads are told (default: the one "
                         'that carries the load)')
@@ -92,26 +95,35 @@ def _estimate(args: argparse.Namespace, settings: Settings) -> tuple[Estimate, s
         raise SemiparamError(f'{source} says what there is, not how much of it; expected a '
                              f'recording or a saved state, and this file as --params {source}.')
     if source.suffix == '.npz':
-        if args.load or args.keep_inertias:
+        if (args.load or args.keep_inertias) and not args.kept_samples:
             raise SemiparamError(f'--load and --keep-inertias ask for a fit, but {source} is a '
-                                 'saved state; expected a recording, or a payload among the '
-                                 'effects that the state has learnt.')
-        return _of_state(source, settings), robot_description(settings)
+                                 'saved state; expected --kept-samples too, a recording, or a '
+                                 'payload among the effects that the state has learnt.')
+        return _of_state(args, settings), robot_description(settings)
+    if args.kept_samples:
+        raise SemiparamError(f'{source} is a recording; --kept-samples expects a saved state (.npz).')
     return _of_recording(source, settings, args.keep_inertias)
 
 
-def _of_state(source: Path, settings: Settings) -> Estimate:
-    from semiparam_ros.export.estimate import from_estimator, with_known
+def _of_state(args: argparse.Namespace, settings: Settings) -> Estimate:
+    from semiparam_ros.export.estimate import from_estimator, from_recording, with_known
     from semiparam_ros.online.applied_effects import AppliedEffects
     from semiparam_ros.online.state_file import load
-    from semiparam_ros.settings.build import build_rigid_body
+    from semiparam_ros.settings.build import build_rigid_body, declared_effects
 
     body = build_rigid_body(settings)
-    saved = load(source, settings, body)
+    saved = load(args.source, settings, body)
     changes = AppliedEffects(body)
     changes.restore(saved.applied)
-    estimate = from_estimator(saved.estimator, saved.batch.samples, str(source))
-    _require_right_setup(source, body, saved.batch.samples)
+    samples = saved.batch.samples
+    _require_right_setup(args.source, body, samples)
+    if args.kept_samples and samples is not None:
+        texts = *saved.settings.effects, *(f'payload@{link}' for link in args.load)
+        effects = declared_effects(replace(saved.settings, effects=texts))
+        estimate = from_recording(body, effects, samples, settings.joint_friction,
+                                  args.keep_inertias, str(args.source))
+    else:
+        estimate = from_estimator(saved.estimator, samples, str(args.source))
     return with_known(estimate, changes.applied)
 
 

@@ -150,7 +150,16 @@ def test_a_saved_state_is_exported_as_it_was_learnt(folder, tmp_path, capsys):
     body, before = (RigidBody.from_urdf(path.read_text(), JOINTS, 'wrench', FRAME)
                     for path in (tmp_path / 's.urdf', URDF))
     assert np.allclose(body.base_parameters, 1.2 * before.base_parameters, atol=0.05)
-    assert 'is a saved state; expected a recording' in refusal(capsys, *arguments, '--load', 'r_hand')
+    assert 'is a saved state; expected --kept-samples too' in refusal(capsys, *arguments, '--load', 'r_hand')
+    assert 'is a recording; --kept-samples expects' in refusal(
+        capsys, 'export', folder / 'arm.mcap', '--params', tmp_path / 'p.yaml', '--kept-samples')
+    models = [document(tmp_path / 's.json', *arguments, *options)
+              for options in ((), ('--kept-samples',), ('--kept-samples', '--load', 'r_hand', '--keep-inertias'))]
+    recorded = document(tmp_path / 's.json', 'export', folder / 'arm.mcap', '--params', tmp_path / 'p.yaml')
+    learnt, kept, _ = (model['errors'] for model in models)
+    assert kept['held_out'] and not learnt['held_out']
+    assert kept['consistent'] == pytest.approx(recorded['errors']['consistent'], rel=0.02)
+    assert models[2]['loads'] and not any(link['changed'] for link in models[2]['links'].values())
 
 
 def test_changes_that_are_applied_beside_the_model_are_exported_with_it(folder, tmp_path, capsys):
