@@ -46,8 +46,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--keep-inertias', action='store_true',
                         help='links stay as described, so that loads explain what differs')
     parser.add_argument('--kept-samples', action='store_true',
-                        help='of a state, fit the samples that it keeps, smoothed as those of a recording: sharper '
-                        'than what was learnt one by one, where the robot did not change meanwhile')
+                        help='of a state, fit the samples that it keeps, smoothed as those of a '
+                        'recording: sharper than what was learnt one by one, where the robot did '
+                        'not change meanwhile')
     parser.add_argument('--flange', metavar='LINK',
                         help="link in whose frame controllers' loads are told (default: the one "
                         'that carries the load)')
@@ -142,8 +143,8 @@ def _of_recording(source: Path, settings: Settings, keep_inertias: bool) -> tupl
 
 
 def _require_right_setup(source: Path, body: RigidBody, samples: Samples | None) -> None:
-    """Refuse samples of which a diagnosis would say that a sign, a unit, an order or a clock is wrong: bodies that
-    explain them are no robot's."""
+    """Refuse samples of which a diagnosis would say that a sign, a unit, an order or a clock is
+    wrong: bodies that explain them are no robot's."""
     from semiparam_ros.diagnosis.setup.checks import NO_MATCH, setup_problems
 
     for problem in setup_problems(body, samples) if samples else ():

@@ -33,6 +33,10 @@ DISTURBED = ('The robot is touched or has changed, and the bias holds that now: 
              'zeroed; else tare again when that is over.')
 
 
+NOT_APPLIED = ('The robot is touched or has changed: links and friction hold that as far as it is learnt. '
+               'A load is one of its own with diagnosis.auto: apply, or declared among the effects.')
+
+
 class Reply:
     """Answer that a request waits for: call it once, with the sentence and whether it went well,
     from the same thread."""
@@ -166,10 +170,16 @@ class Services:
     def export_model(self, reply: Reply) -> None:
         """Write what is learnt now to files beside the states."""
         self._lock.take()
-        estimate = learnt(self._learner(), self._node.get_fully_qualified_name())
+        learner = self._learner()
+        estimate = learnt(learner, self._node.get_fully_qualified_name())
+        unknown = learner.disturbed and not learner.changes.applied.acts
+
+        def written(sentence: str) -> str:
+            return f'{sentence} {NOT_APPLIED}' if unknown else sentence
+
         stem = Path(self._parameters.settings.state_file).stem
         self._background.submit(export_to, self._folder, stem, self._description(), estimate,
-                                done=partial(self._finish, '~/export_model', reply, str),
+                                done=partial(self._finish, '~/export_model', reply, written),
                                 urgency=Urgency.ASKED)
 
     def _aside(self, name: str, work: Callable[[], Result], then: Callable[[Result], str], reply: Reply) -> None:
