@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Collection, Iterable, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 from semiparam_ros.bags import readings
@@ -103,13 +103,14 @@ def recorded_description(bag: BagReader) -> str | None:
     return text
 
 
-def _require(bag: BagReader, needed: Iterable[str]) -> None:
+def _require(bag: BagReader, needed: Sequence[str]) -> None:
     """Raise SemiparamError where a topic that takes part is missing, or of another type."""
     for topic in needed:
         type_name = layout.TYPES[topic]
         if topic not in bag.topics:
             alike = [name for name, info in bag.topics.items() if info.type == type_name]
-            remedy = f' (semiparam convert --topic {alike[0]}={topic} renames one)' if len(alike) == 1 else ''
+            others = ''.join(f' --topic {name}' for name in (*needed, layout.ROBOT_DESCRIPTION) if name in bag.topics)
+            remedy = f' (semiparam convert --topic {alike[0]}={topic}{others} renames one)' if len(alike) == 1 else ''
             raise SemiparamError(f'{str(bag.path)!r} has no topic {topic}; it has {", ".join(bag.topics) or "none"}'
                                  f'{remedy}.')
         if bag.topics[topic].type != type_name:

@@ -180,6 +180,7 @@ def evaluate(settings: Settings, training: Sequence[LoadedBag], bags: Sequence[L
     The initial window is answered by the rigid body alone, whatever the variant, and is not counted.
     Raises SemiparamError when the recordings are over before the initial window is.
     """
+    from semiparam_ros.core.motion import moving
     from semiparam_ros.core.robot.external_wrench import ExternalWrench
     from semiparam_ros.experiments.evaluation import OfflineLearner, VariantScores
 
@@ -200,8 +201,9 @@ def evaluate(settings: Settings, training: Sequence[LoadedBag], bags: Sequence[L
         options.console.print(f'{settings.variant}: an initial window gives no hyperparameters '
                               f'({reason}); another one is gathered.')
     if not len(scores):
-        raise SemiparamError(f'{total} samples are too few: the initial window alone takes {settings.initial_samples} '
-                             'of a robot that moves (parameter initial.samples).')
+        moved = sum(int(moving(bag.samples).sum()) for bag in [*training, *bags])
+        raise SemiparamError(f'the robot moves in {moved} of {total} samples, which are too few: the initial window '
+                             f'alone takes {settings.initial_samples} of motion (parameter initial.samples).')
     return scores
 
 

@@ -14,6 +14,7 @@ from semiparam_ros.errors import SemiparamError
 
 if TYPE_CHECKING:
     from semiparam_ros.core.robot.rigid_body import RigidBody
+    from semiparam_ros.core.samples import Samples
     from semiparam_ros.export.estimate import Estimate
     from semiparam_ros.export.identified import Identified
     from semiparam_ros.settings import Settings
@@ -44,6 +45,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         'repeated. A payload among the effects of the parameters is one too')
     parser.add_argument('--keep-inertias', action='store_true',
                         help='links stay as described, so that loads explain what differs')
+    parser.add_argument('--kept-samples', action='store_true',
+                        help='of a state, fit the samples that it keeps, smoothed as those of a '
+                        'recording: sharper than what was learnt one by one, where the robot did '
+                        'not change meanwhile')
     parser.add_argument('--flange', metavar='LINK',
                         help="link in whose frame controllers' loads are told (default: the one "
                         'that carries the load)')
@@ -91,21 +96,36 @@ def _estimate(args: argparse.Namespace, settings: Settings) -> tuple[Estimate, s
         raise SemiparamError(f'{source} says what there is, not how much of it; expected a '
                              f'recording or a saved state, and this file as --params {source}.')
     if source.suffix == '.npz':
-        if args.load or args.keep_inertias:
+        if (args.load or args.keep_inertias) and not args.kept_samples:
             raise SemiparamError(f'--load and --keep-inertias ask for a fit, but {source} is a '
-                                 'saved state; expected a recording, or a payload among the '
-                                 'effects that the state has learnt.')
-        return _of_state(source, settings), robot_description(settings)
+                                 'saved state; expected --kept-samples too, a recording, or a '
+                                 'payload among the effects that the state has learnt.')
+        return _of_state(args, settings), robot_description(settings)
+    if args.kept_samples:
+        raise SemiparamError(f'{source} is a recording; --kept-samples expects a saved state (.npz).')
     return _of_recording(source, settings, args.keep_inertias)
 
 
-def _of_state(source: Path, settings: Settings) -> Estimate:
-    from semiparam_ros.export.estimate import from_estimator
+def _of_state(args: argparse.Namespace, settings: Settings) -> Estimate:
+    from semiparam_ros.export.estimate import from_estimator, from_recording, with_known
+    from semiparam_ros.online.applied_effects import AppliedEffects
     from semiparam_ros.online.state_file import load
-    from semiparam_ros.settings.build import build_rigid_body
+    from semiparam_ros.settings.build import build_rigid_body, declared_effects
 
-    saved = load(source, settings, build_rigid_body(settings))
-    return from_estimator(saved.estimator, saved.batch.samples, str(source))
+    body = build_rigid_body(settings)
+    saved = load(args.source, settings, body)
+    changes = AppliedEffects(body)
+    changes.restore(saved.applied)
+    samples = saved.batch.samples
+    _require_right_setup(args.source, body, samples)
+    if args.kept_samples and samples is not None:
+        texts = *saved.settings.effects, *(f'payload@{link}' for link in args.load)
+        effects = declared_effects(replace(saved.settings, effects=texts))
+        estimate = from_recording(body, effects, samples, settings.joint_friction,
+                                  args.keep_inertias, str(args.source))
+    else:
+        estimate = from_estimator(saved.estimator, samples, str(args.source))
+    return with_known(estimate, changes.applied)
 
 
 def _of_recording(source: Path, settings: Settings, keep_inertias: bool) -> tuple[Estimate, str]:
@@ -116,9 +136,20 @@ def _of_recording(source: Path, settings: Settings, keep_inertias: bool) -> tupl
 
     bag = load_bags([source], settings, lambda rate: MOST_SAMPLES)[0]
     body = build_rigid_body(settings, bag.robot_description)
+    _require_right_setup(source, body, bag.samples)
     estimate = from_recording(body, declared_effects(settings), bag.samples,
                               settings.joint_friction, keep_inertias, str(source))
     return estimate, robot_description(settings, bag.robot_description)
+
+
+def _require_right_setup(source: Path, body: RigidBody, samples: Samples | None) -> None:
+    """Refuse samples of which a diagnosis would say that a sign, a unit, an order or a clock is
+    wrong: bodies that explain them are no robot's."""
+    from semiparam_ros.diagnosis.setup.checks import NO_MATCH, setup_problems
+
+    for problem in setup_problems(body, samples) if samples else ():
+        if problem.what != NO_MATCH:
+            raise SemiparamError(f'{source}: {problem.sentence}')
 
 
 def _text(form: str, body: RigidBody, urdf: str, found: Identified, flange: str | None) -> str:

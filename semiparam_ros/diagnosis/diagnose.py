@@ -179,7 +179,8 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
     :param progress: called with a few words and the share of the round that is done.
     :param config: thresholds other than the usual ones.
 
-    Raises SemiparamError when the recording is too short, too little of it can be used, or nothing moves in it.
+    Raises SemiparamError when the recording is too short, too little of it can be used, or nothing moves in it; where
+    its clock is wrong, that may be why, and the error says so.
     """
     check(samples, body, config)
     samples = whole_groups(samples, working_factor(samples, config))
@@ -187,7 +188,11 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
     effects = [effect.in_recording(samples.origin) for effect in effects] + own_offsets(body, samples)
     suspected = [problem for part in samples.recordings
                  for problem in setup_problems(body, alone(samples, part) if samples.breaks else samples, config)]
-    start = _first_model(body, samples, effects, _may_fit(samples, train_mask, other is not None, config), config)
+    try:
+        start = _first_model(body, samples, effects, _may_fit(samples, train_mask, other is not None, config), config)
+    except SemiparamError as error:
+        clock = [problem.sentence for problem in suspected if problem.what == 'clock']  # leaves no time to look at
+        raise SemiparamError(clock[0] if clock else str(error)) from error
     require_enough(config, start.held_out if other is None else start.fitting)
     steps, setup, imitated = _searched(start, considered(body, only), suspected, progress, bool(only))
     recorded, elsewhere = _judging(start, samples, other)
@@ -221,6 +226,7 @@ class _Start(NamedTuple):
 
 def _first_model(body: RigidBody, samples: Samples, effects: Sequence[Effect], may_fit: Mask,
                  config: DiagnosisConfig) -> _Start:
+    require_enough(config, np.ones(len(samples) // working_factor(samples, config), dtype=bool))
     clean = ~excluded(samples, config) & ~beside_breaks(samples, margin(samples, config))
     inputs, chosen, valid, counted = prepared(body, samples, effects, may_fit, config, clean=clean)
     fitting, held_out = valid & inputs.mask(may_fit), valid & ~inputs.mask(may_fit)

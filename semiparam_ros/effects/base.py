@@ -16,7 +16,7 @@ import numpy as np
 
 from semiparam_ros.core.columns import ColumnBlock, Memory
 from semiparam_ros.core.robot.rigid_body import RigidBody
-from semiparam_ros.core.robot.size import plausible, size_of
+from semiparam_ros.core.robot.size import arm_size, plausible, size_of
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array, Mask, Stamps
 from semiparam_ros.errors import SemiparamError
@@ -224,9 +224,10 @@ class Effect(ColumnBlock):
         """Prior standard deviations (c,) over gamma, plausible for this robot, in each unit.
 
         Wider ones would cost nothing where the samples excite a coefficient; where they hardly do,
-        it would follow every disturbance.
+        it would follow every disturbance. What is bounded by weight may be as large as the whole arm
+        bears, also where a wrist's sensor feels a light tool alone.
         """
-        size = size_of(body)
+        size = arm_size(body) if self.bounded_by_weight else size_of(body)
         return np.array([plausible(unit, size) for _, unit in self.coefficients(body)])
 
     def calibration_scale(self, body: RigidBody) -> Array:

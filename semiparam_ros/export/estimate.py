@@ -11,14 +11,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import block_diag, cho_factor, cho_solve
 
 from semiparam_ros.core.columns import CoupledColumns
 from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.motion import moving
+from semiparam_ros.core.robot.frames import load_in_base
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.signals.smoothing import smoothed
@@ -37,8 +38,18 @@ DEGREES = 5.0
 FISHER = np.sqrt((DEGREES + 1.0) / (DEGREES + 3.0))
 """Root of a sample's information over that of a normal one of the same scale (Lange, Little and
 Taylor 1989)."""
+LEAST_STD = 1e-9
+"""Least standard deviation of a coefficient, in its unit."""
 KNOWN = 1e8
 """Times the precision of inertias that are known."""
+
+
+class KnownEffect(Protocol):
+    """An effect whose coefficients (c,) and their standard deviations (c,) are known."""
+
+    effect: Effect
+    coefficients: Array
+    std: Array
 
 
 class Estimate(NamedTuple):
@@ -202,6 +213,31 @@ def from_estimator(estimator: Estimator, samples: Samples | None, name: str) -> 
     n = estimator.body.n_joints
     top_speed = np.abs(estimator.inputs_learnt[:, n:2 * n]).max(axis=0)
     return Estimate(columns, model.theta, root.T @ root, f'the model of {name}', top_speed, table)
+
+
+def with_known(estimate: Estimate, known: Sequence[KnownEffect]) -> Estimate:
+    """The estimate with effects beside it that were taken off all samples, as loads in the hand.
+
+    Another tool, which is a difference of bodies, is a part of the rigid body.
+    """
+    old, mean = estimate.columns, estimate.mean.copy()
+    exchanged = [each for each in known if each.effect.is_load and not each.effect.is_body]
+    others = [each for each in known if each.effect.is_body or not each.effect.is_load]
+    model = CoupledColumns(old.body, [*old.effects, *(each.effect for each in others)],
+                           old.has_friction, old.physical)
+    for each in exchanged:
+        mean[old.blocks['rigid_body']] += load_in_base(old.body, str(each.effect.where),
+                                                       each.coefficients)
+    table = estimate.table
+    if table is not None:
+        absent = np.zeros((*table.columns.shape[:2], model.n_columns - old.n_columns))
+        table = replace(table, model=model,
+                        columns=np.concatenate([table.columns, absent], axis=2),
+                        outputs=table.outputs + table.columns @ (mean - estimate.mean))
+    precisions = [np.diag(np.maximum(each.std, LEAST_STD) ** -2.0) for each in others]
+    return estimate._replace(
+        columns=model, mean=np.concatenate([mean, *(each.coefficients for each in others)]),
+        information=block_diag(estimate.information, *precisions), table=table)
 
 
 def _table(model: CoupledColumns, samples: Samples, used: Mask,

@@ -27,7 +27,8 @@ def export_to(folder: Path, name: str, urdf: str, estimate: Estimate) -> str:
     folder.mkdir(parents=True, exist_ok=True)
     for path, text in zip(paths, texts, strict=True):
         write_text(path, text)
-    return f'{paths[0]} and {paths[1].name} are written, from {estimate.how}.'
+    loads = ' and '.join(f'a load of {load.mass:.4g} kg at {load.link}' for load in found.loads)
+    return f'{paths[0]} and {paths[1].name} are written, from {estimate.how}{loads and ", with "}{loads}.'
 
 
 def _require_replaceable(path: Path) -> None:

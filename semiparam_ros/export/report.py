@@ -76,8 +76,9 @@ def lines(found: Identified) -> list[str]:
     if found.mended:
         lines.append(f'No body has the described inertia of {", ".join(found.mended)}: it is '
                     'mended.')
-    if found.left_out:
-        values = ', '.join(f'{name} {value:.3g}' for name, value in found.left_out.items())
+    alone = {f'offset@{name}': value for name, value in found.offsets.items()} | dict(found.left_out)
+    if alone:
+        values = ', '.join(f'{name} {value:.3g}' for name, value in alone.items())
         lines.append(f'Of this the JSON file alone tells: {values}.')
     return lines
 

@@ -68,8 +68,9 @@ def identified_urdf(urdf: str, found: Identified, remark: str) -> str:
             editor.set(element, values)
         else:
             editor.append(named['joint', joint], _tag('dynamics', values))
+    taken = {name for _, name in named}
     for load in found.loads:
-        for element_text in _load_elements(load, {name for _, name in named}):
+        for element_text in _load_elements(load, taken):
             editor.append(editor.root, element_text)
     editor.prepend(editor.root, comment(remark))
     return editor.text()
@@ -102,10 +103,11 @@ def inertial_values(body: CarriedBody) -> dict[str, dict[str, str]]:
 
 
 def _load_elements(load: CarriedBody, taken: set[str]) -> list[str]:
-    """A link with the load's inertial, and the joint that fixes it."""
+    """A link with the load's inertial, and the joint that fixes it; their names are taken then."""
     name = f'payload_{load.link}'
     while name in taken or f'{name}_joint' in taken:
         name += '_'
+    taken |= {name, f'{name}_joint'}
     inertial = ''.join(_tag(tag, values) for tag, values in inertial_values(load).items())
     return [f'<link name="{name}"><inertial>{inertial}</inertial></link>',
             f'<joint name="{name}_joint" type="fixed"><parent link="{load.link}"/>'

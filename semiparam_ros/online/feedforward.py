@@ -15,6 +15,12 @@ LARGEST_VARIANCE_RATIO = 1.0
 """Where the model's own variance exceeds that of the noise so many times, it has not learnt enough about the state."""
 
 
+MARKS = {'described': 'answered by the robot description alone',
+         'limited': 'cut to the effort limits of the robot description',
+         'doubtful': 'outside of what was learnt'}
+"""What there may be to say of a desired state."""
+
+
 class WithheldError(SemiparamError):
     """There is no model yet to answer desired states."""
 
@@ -61,10 +67,7 @@ class Feedforward:
     def sentence(self, before: Counter[str]) -> str:
         """Sentence on the states since some counts; '' for nothing."""
         new = self.counts - before
-        parts = [f'{new[name]} {what}' for name, what in (
-            ('described', 'answered by the robot description alone'),
-            ('limited', 'cut to the effort limits of the robot description'),
-            ('doubtful', 'outside of what was learnt')) if new[name]]
+        parts = [f'{new[name]} {what}' for name, what in MARKS.items() if new[name]]
         return (f'of {new["answered"]} desired states {", ".join(parts)} '
                 f'({self.last or "no model yet"}).' if parts else '')
 

@@ -356,6 +356,8 @@ def test_topics_of_other_names_are_named(tmp_path):
     with pytest.raises(SemiparamError, match=r'has no topic /joint_states; it has /arm, /wrench '
                                              r'\(semiparam convert --topic /arm=/joint_states renames one\)\.$'):
         load_samples(path, settings)
+    with pytest.raises(SemiparamError, match='--topic /arm=/joint_states --topic /wrench renames one'):
+        load_samples(path, Settings(joints=('a', 'b'), sensor_frame='ft'))  # convert leaves out what is not named
 
 
 @pytest.mark.parametrize(('changes', 'sentence'), [

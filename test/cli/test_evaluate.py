@@ -167,7 +167,8 @@ def test_mistakes_are_one_sentence(arguments, sentence, recording, params, tmp_p
 
 def test_too_short_a_recording_is_refused(params, tmp_path, capsys):
     bag = write_arm(tmp_path / 'short.mcap', 60)
-    assert 'initial.samples' in refusal(capsys, 'evaluate', bag, '--params', params)
+    assert 'the robot moves in 60 of 60 samples, which are too few: the initial window' in refusal(
+        capsys, 'evaluate', bag, '--params', params)
 
 
 def test_the_widest_figures_fit_into_a_terminal(capsys):

@@ -10,6 +10,7 @@ import yaml
 from semiparam_ros.bags.loading import load_samples
 from semiparam_ros.core.robot.consistency import is_consistent
 from semiparam_ros.core.robot.rigid_body import RigidBody
+from semiparam_ros.effects import effect_from_text
 from semiparam_ros.export.urdf import described_links
 from semiparam_ros.online import state_file
 from semiparam_ros.settings import load_params
@@ -122,6 +123,15 @@ def test_a_mistake_is_one_sentence_and_no_file(folder, tmp_path, monkeypatch, ca
     assert list(tmp_path.iterdir()) == []
 
 
+def test_what_a_wrong_sign_explains_is_no_robot(folder, tmp_path, monkeypatch, capsys):
+    """Bodies were written that no inertia explains, of a recording that a diagnosis refuses."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / 'p.yaml').write_text(PARAMS + '    wrench_convention: reaction\n')
+    assert f'{folder / "arm.mcap"}: The wrench has the opposite sign of what the robot description predicts' in refusal(
+        capsys, 'export', folder / 'arm.mcap', '--params', 'p.yaml', '--urdf', 'a.urdf', '--json', 'a.json')
+    assert [path.name for path in tmp_path.iterdir()] == ['p.yaml']
+
+
 def staged(params, variant='SPK-ML'):
     """Write a parameter file of a small model; return its settings and a learner of them."""
     params.write_text(PARAMS + f'    robot_description_file: {URDF}\n    initial.samples: 200\n'
@@ -140,7 +150,40 @@ def test_a_saved_state_is_exported_as_it_was_learnt(folder, tmp_path, capsys):
     body, before = (RigidBody.from_urdf(path.read_text(), JOINTS, 'wrench', FRAME)
                     for path in (tmp_path / 's.urdf', URDF))
     assert np.allclose(body.base_parameters, 1.2 * before.base_parameters, atol=0.05)
-    assert 'is a saved state; expected a recording' in refusal(capsys, *arguments, '--load', 'r_hand')
+    assert 'is a saved state; expected --kept-samples too' in refusal(capsys, *arguments, '--load', 'r_hand')
+    assert 'is a recording; --kept-samples expects' in refusal(
+        capsys, 'export', folder / 'arm.mcap', '--params', tmp_path / 'p.yaml', '--kept-samples')
+    models = [document(tmp_path / 's.json', *arguments, *options)
+              for options in ((), ('--kept-samples',), ('--kept-samples', '--load', 'r_hand', '--keep-inertias'))]
+    recorded = document(tmp_path / 's.json', 'export', folder / 'arm.mcap', '--params', tmp_path / 'p.yaml')
+    learnt, kept, _ = (model['errors'] for model in models)
+    assert kept['held_out'] and not learnt['held_out']
+    assert kept['consistent'] == pytest.approx(recorded['errors']['consistent'], rel=0.02)
+    assert models[2]['loads'] and not any(link['changed'] for link in models[2]['links'].values())
+
+
+def test_changes_that_are_applied_beside_the_model_are_exported_with_it(folder, tmp_path, capsys):
+    settings, stage = staged(tmp_path / 'p.yaml')
+    stage.offer(load_samples(folder / 'arm.mcap', settings).samples)
+    arguments = 'export', tmp_path / 's.npz', '--params', tmp_path / 'p.yaml', '--urdf', tmp_path / 's.urdf'
+    load = np.array([0.5, 0.01, 0.0, 0.05, 2e-3, 0.0, 2e-3, 0.0, 0.0, 1e-3])
+    weights = []
+    for number, text in enumerate(('', 'payload@r_hand', 'tool_exchange@r_hand', 'sensor_offset')):
+        if text:
+            effect = effect_from_text(text)
+            values = load if effect.is_load else np.arange(6.0)
+            stage.learner.changes.applied.offer(number, effect, values, 0.01 * np.ones(len(values)), 0)
+            stage.learner.changes.applied.switch(stage.learner.changes.applied.of_change(number), 0)
+        state_file.save(tmp_path / 's.npz', stage.learner.state())
+        assert semiparam(*arguments) == 0
+        urdf = (tmp_path / 's.urdf').read_text()
+        assert ('payload_r_hand' in described_links(urdf)) == (number > 0)
+        weights.append(sum(values[0] for values in described_links(urdf).values()))
+    assert np.allclose(np.diff(weights), [0.5, 0.5, 0.0], atol=0.02), 'another tool is a part of its link'
+    told = capsys.readouterr().out
+    assert 'load at r_hand: 0.5004 +- 0.01 kg' in told and 'offset@tz 0.999, sensor_offset.fx 0, ' in told
+    errors = [line for line in told.splitlines() if line.startswith('On the samples')]
+    assert errors[:2] == errors[:1] * 2 and errors[2:] == errors[2:3] * 2, 'samples are without them'
 
 
 def test_a_state_without_a_rigid_body_tells_nothing(folder, tmp_path, capsys):

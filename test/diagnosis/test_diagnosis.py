@@ -485,7 +485,9 @@ def test_too_short_a_recording_is_refused():
 @pytest.mark.parametrize(('count', 'period_ns', 'every'), [(400, 20_000_000, 10), (250, 1_000_000, 1000)],
                          ids=['gaps everywhere', 'a quarter of a second at 1 kHz'])
 def test_a_recording_of_which_too_little_is_left_is_refused(count, period_ns, every):
-    samples = [sample._replace(stamp=index * period_ns + index // every * 10**9)
+    faster = 20_000_000 / period_ns  # else its clock would be wrong
+    samples = [sample._replace(stamp=index * period_ns + index // every * 10**9, velocity=faster * sample.velocity,
+                               acceleration=faster**2 * sample.acceleration)
                for index, sample in enumerate(motion(count))]
     with pytest.raises(SemiparamError, match='0 samples of the recording, averaged to at least 40 Hz, are left'):
         diagnose(SMALL_ARM, Samples.from_list(samples))

@@ -21,6 +21,7 @@ from semiparam_ros.diagnosis.diagnose import diagnose
 from semiparam_ros.diagnosis.preparation import Inputs, bursts, late, measured_lags
 from semiparam_ros.diagnosis.setup.checks import setup_problems
 from semiparam_ros.diagnosis.setup.identifiability import unidentifiable
+from semiparam_ros.errors import SemiparamError
 from semiparam_ros.simulation.scenario import EffectRequest, Scenario
 from semiparam_ros.simulation.simulate import simulate
 from support.arms import (
@@ -392,6 +393,18 @@ def test_a_diagnosis_of_stamps_of_arrival_says_so_and_finds_no_late_velocities()
     found = diagnose(body, arrived_together(samples), only=['viscous_friction'])
     assert found.notes[0].startswith('The stamps come in bursts: ')
     assert not any('come' in note and 'after the motion' in note for note in found.notes)
+
+
+@pytest.mark.filterwarnings('error')
+@pytest.mark.parametrize('factor', [100, 1000])
+def test_a_clock_that_leaves_no_time_to_diagnose_is_said_to_be_wrong(factor):
+    """Of stamps in another unit the motion cannot be smoothed: its positions were said to jump."""
+    body, samples = simulated('effort', rate_hz=200.0)
+    dense = replace(samples, stamps=samples.origin + (samples.stamps - samples.origin) // factor)
+    with pytest.raises(SemiparamError, match=r'^The stamps are 5e-0[56] s apart, but positions'):
+        diagnose(body, dense)
+    with pytest.raises(SemiparamError, match=r'^\d+ samples of the recording, .* are left'):
+        diagnose(body, samples[:210])
 
 
 def test_jitter_that_the_states_share_is_no_burst():

@@ -236,6 +236,8 @@ def test_contact_is_flagged_and_diagnostics_tell_the_state(client):
     levels = client.heard['contact_level']
     assert levels[-1].name == list(BODY.output_names) and levels[-1].position[0] > 1.0 > levels[-1].position[1] > 0.0
     assert max(levels[299].position) < 1.0
+    exported = client.trigger('export_model')
+    assert exported.success and 'The robot is touched or has changed: links and friction hold that' in exported.message
     client.play(samples[330:], JOINTS)
     client.wait_report('learning', lambda level, message, values: values['in contact'] == 'False')
     _, _, timing = client.wait_report('timing', lambda level, message, values: 'latency p99 [ms]' in values)

@@ -119,6 +119,8 @@ def test_a_load_is_told_applied_and_taken_back_and_nobody_touches_anything(tmp_p
         assert abs(mass - MASS) < max(3.0 * std, 0.05 * MASS)
         assert values['state'].startswith('changed')
         client.wait_report('changes', lambda level, message, values: message == told.message)
+        exported = client.trigger('export_model')
+        assert exported.success and re.search(r', with a load of 0\.\d+ kg at ft\.$', exported.message)
         client.play_at_a_pace(samples[named:], JOINTS)
         client.wait(lambda: decided('taken back'), 'the load to be taken back')
         assumed, tried, applied, over = records()[-1]['decisions']

@@ -144,7 +144,9 @@ def test_a_second_publisher_is_told_once_by_its_node(start_node):
         set_stamp(zeros.header.stamp, samples[39].stamp)
         zeros.header.frame_id = 'ft'
         output.publish(zeros)
-        client.wait_report('inputs', lambda level, message, values: values.get('refused: duplicate_stamp') == '1')
+        output.publish(zeros)
+        client.wait_report('inputs', lambda level, message, values: values.get('refused: duplicate_stamp') == '2')
+    assert node.output.count('[estimator]: refused: wrench has the duplicate stamp') == 1, 'the first one of a kind'
     for sample in samples[40:]:
         client.state(sample, JOINTS)
         client.wrench(sample)

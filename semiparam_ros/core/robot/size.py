@@ -8,6 +8,7 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
+import pinocchio as pin
 
 from semiparam_ros.core.robot.rigid_body import GRAVITY, RigidBody
 from semiparam_ros.core.types import Array
@@ -40,7 +41,17 @@ class Size(NamedTuple):
 @lru_cache(maxsize=16)
 def size_of(body: RigidBody) -> Size:
     """The size of the bodies that the outputs feel, as the robot description has them."""
-    found = _beyond(body, 1)
+    return _size(body.arm if body.distal is None else body.distal)
+
+
+@lru_cache(maxsize=16)
+def arm_size(body: RigidBody) -> Size:
+    """The size of the whole arm, whatever of it the outputs feel: it says how much a wrist's sensor may carry."""
+    return _size(body.arm)
+
+
+def _size(model: pin.Model) -> Size:
+    found = _beyond(model, 1)
     length = max(found.length, LEAST_LENGTH)
     return Size(max(found.mass or MASS_PER_LENGTH * length, LEAST_MASS), length)
 
@@ -55,12 +66,11 @@ def reach_of(body: RigidBody) -> float:
 @lru_cache(maxsize=256)
 def size_beyond(body: RigidBody, joint: str) -> Size:
     """The size of what a joint carries, and ``LEAST_PART`` of the whole arm at least."""
-    whole, part = size_of(body), _beyond(body, body.arm.getJointId(joint))
+    whole, part = size_of(body), _beyond(body.arm, body.arm.getJointId(joint))
     return Size(max(part.mass, LEAST_PART * whole.mass), max(part.length, LEAST_PART * whole.length))
 
 
-def _beyond(body: RigidBody, first: int) -> Size:
-    model = body.arm if body.distal is None else body.distal
+def _beyond(model: pin.Model, first: int) -> Size:
     carried = [index for index in range(first, model.njoints) if first in model.supports[index]]
     mass = sum(float(model.inertias[index].mass) for index in carried)
     steps = sum(float(np.linalg.norm(model.jointPlacements[index].translation)) for index in carried if index != first)

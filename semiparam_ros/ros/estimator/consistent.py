@@ -7,25 +7,41 @@ from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
+import numpy as np
 from rclpy.node import Node
 from std_msgs.msg import String
 
-from semiparam_ros.core.estimator import Estimator
+from semiparam_ros.effects.loads import Payload
 from semiparam_ros.errors import SemiparamError
-from semiparam_ros.export.estimate import from_estimator
+from semiparam_ros.export.estimate import Estimate, from_estimator, with_known
 from semiparam_ros.export.live import ConsistentParameters, consistent_parameters
+from semiparam_ros.online.applied_effects import KnownEffect
 from semiparam_ros.online.identified_parameters import (
     LearntCoefficient,
     Load,
     is_shown,
     quantities,
 )
+from semiparam_ros.online.learner import Learner
 from semiparam_ros.online.model_switcher import sentence_of
 from semiparam_ros.online.worker import Background, Job
 from semiparam_ros.ros.estimator.publishers import LATCHED
 
 LARGEST_SHARE = 0.1
 """Of a processor, which it may use."""
+
+
+def learnt(learner: Learner, name: str) -> Estimate:
+    """Estimate of a learner, with the changes that are applied beside its model.
+
+    Raises SemiparamError when it has learnt no rigid body.
+    """
+    changes = learner.changes.applied
+    known, load = changes.applied, changes.provisional
+    if load is not None:
+        std = np.sqrt(np.diag(load.covariance))
+        known.append(KnownEffect(0, Payload(load.link), load.parameters, std))
+    return with_known(from_estimator(learner.estimator, None, name), known)
 
 
 class ConsistentBodies(NamedTuple):
@@ -62,13 +78,13 @@ class ConsistentTopic:
         self._job: Job | None = None
         self._earliest = 0.0
 
-    def ask(self, estimator: Estimator, load: Load | None, stamp: int | None) -> None:
+    def ask(self, learner: Learner, load: Load | None, stamp: int | None) -> None:
         """Ask for those of the model as it is now, unless an answer is still to come.
 
         :param load: what it carries. :param stamp: of the sample [ns] that they are told of.
         """
         try:
-            estimate = from_estimator(estimator, None, self._name)
+            estimate = learnt(learner, self._name)
         except SemiparamError as error:
             self.stop()
             self.trouble = str(error)
@@ -77,6 +93,7 @@ class ConsistentTopic:
         if self._job is not None or now < self._earliest:
             return
         carried = load if load is not None and is_shown(load) else None
+        estimator = learner.estimator
         asked = ConsistentBodies(quantities(estimator, estimator.rigid_body_model), load, stamp, now)
         self._job = self._background.submit(
             consistent_parameters, self._description(), estimate,
@@ -98,9 +115,9 @@ class ConsistentTopic:
             self.found, self.trouble = None, f'{sentence_of(error)}.'
             return
         self._earliest = asked.at + answer.seconds / LARGEST_SHARE
-        values = answer.theta.tolist()
+        own = answer.theta[:len(asked.coefficients)].tolist()  # without what is applied beside it
         coefficients = [entry._replace(value=value)
-                        for entry, value in zip(asked.coefficients, values, strict=True)]
+                        for entry, value in zip(asked.coefficients, own, strict=True)]
         load = asked.load
         if load is not None and answer.load is not None:
             load = load._replace(parameters=answer.load)

@@ -8,7 +8,7 @@ that a message that is too long is refused before its points are touched.
 from __future__ import annotations
 
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
 from struct import Struct, error, unpack_from
 from typing import NamedTuple
@@ -24,7 +24,7 @@ from semiparam_ros.bags.alignment import END_OF_TIME_NS, LARGEST
 from semiparam_ros.core.stamps import NANOSECONDS
 from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError, listed
-from semiparam_ros.online.feedforward import STATUS, Feedforward, WithheldError, status
+from semiparam_ros.online.feedforward import MARKS, STATUS, Feedforward, WithheldError, status
 from semiparam_ros.online.learner import Learner
 from semiparam_ros.online.worker import Scheduler
 from semiparam_ros.ros.cdr import ENCAPSULATION, Layout, decoded, joint_state_layout
@@ -179,6 +179,7 @@ class DesiredTrajectory:
         kind = WrenchStamped if outputs == 'wrench' else JointState
         self.feedforward = Feedforward()
         self._warn, self._warned = node.get_logger().warning, ''
+        self._told: set[str] = set()
         self._points = node.create_publisher(kind, '~/feedforward', MOST_POINTS)
         self._std = node.create_publisher(kind, '~/feedforward_std', MOST_POINTS)
         self._status = node.create_publisher(JointState, '~/feedforward_status', MOST_POINTS)
@@ -224,7 +225,7 @@ class DesiredTrajectory:
     def _tell_withheld(self) -> None:
         """Once when it begins, and once when trajectories are answered again: a controller sends many a second."""
         if self.feedforward.withheld != self._warned:
-            self._warned = self.feedforward.withheld
+            self._warned, self._told = self.feedforward.withheld, set()
             self._warn(self._warned or 'desired trajectories are answered.')
 
     def _answered(self, trajectory: TrajectoryReader, order: Sequence[int]) -> Iterator[None]:
@@ -258,9 +259,14 @@ class DesiredTrajectory:
             yield
         self._trajectory.publish(answer.message())
         self._trajectory_std.publish(answer_std.message())
-        marked = self.feedforward.sentence(before)
-        if marked:
-            self._warn(marked, throttle_duration_sec=1.0)
+        self._tell_marks(before)
+
+    def _tell_marks(self, before: Counter[str]) -> None:
+        """Each mark once: a controller that streams at the edge of what was learnt has it again and again."""
+        new = {mark for mark in MARKS if self.feedforward.counts[mark] > before[mark]} - self._told
+        if new:
+            self._told |= new
+            self._warn(f'{self.feedforward.sentence(before)} Further ones are counted on /diagnostics.')
 
 
 def joint_order(names: Sequence[str], joints: Sequence[str]) -> list[int]:

@@ -150,10 +150,13 @@ class Tally:
 
 
 class InputReport:
-    """Rates, silence, and what was refused."""
+    """Rates, silence, and what was refused.
 
-    def __init__(self, inputs: InputStream, rejections: Rejections) -> None:
-        self._inputs, self._rejections = inputs, rejections
+    :param warn: receives the first sentence of each reason for which messages are refused.
+    """
+
+    def __init__(self, inputs: InputStream, rejections: Rejections, warn: Callable[[str], object]) -> None:
+        self._inputs, self._rejections, self._warn = inputs, rejections, warn
         self._since = time.monotonic()
         self._before: Counter[str] = Counter()
         self._refused: Counter[str] = Counter()
@@ -175,6 +178,9 @@ class InputReport:
         values |= {f'refused: {reason}': count for reason, count in sorted((faults + self._rejections.counts).items())}
         elsewhere = self._rejections.on_topics
         refused = faults + elsewhere
+        for reason in faults.keys() - self._refused.keys():
+            assert stream is not None  # it counts them
+            self._warn(f'refused: {stream.sentences[reason]} Further ones of this kind are counted on /diagnostics.')
         news, self._refused = refused - self._refused, refused
         self._last, self._elsewhere = self._latest(elsewhere.total(), bool(news)), elsewhere.total()
         values['last refusal'] = self._last
@@ -462,7 +468,7 @@ class Reports:
         self._statuses = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
         self._payload = node.create_publisher(InertiaStamped, '~/payload', 10)
         self._payload_std = node.create_publisher(InertiaStamped, '~/payload_std', 10)
-        turns = {'inputs': InputReport(inputs, rejections).make,
+        turns = {'inputs': InputReport(inputs, rejections, node.get_logger().warning).make,
                  'timing': TimingReport(inputs, self.say).make, 'learning': self._learning,
                  'model': self._model, 'parameters': self._parameters,
                  'feedforward': lambda: feedforward_report(feedforward), **others,
@@ -547,7 +553,7 @@ class Reports:
     def _consistent_parameters(self, learner: Learner, load: Load | None, sentence: str) -> Report:
         """Report of the latest bodies that were found; of what was learnt while there are none."""
         before = self._published
-        self._consistent.ask(learner.estimator, load, self.tally.stamp)
+        self._consistent.ask(learner, load, self.tally.stamp)
         found = self._published = self._consistent.found
         if found is None:
             return parameters_report(quantities(learner.estimator), {

@@ -16,7 +16,6 @@ from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger
 
 from semiparam_ros.errors import SemiparamError
-from semiparam_ros.export.estimate import from_estimator
 from semiparam_ros.export.files import export_to
 from semiparam_ros.online import state_file
 from semiparam_ros.online.file_thread import FileThread
@@ -24,6 +23,7 @@ from semiparam_ros.online.folder_lock import FolderLock
 from semiparam_ros.online.learner import Learner
 from semiparam_ros.online.state_file import SavedState
 from semiparam_ros.online.worker import Background, Scheduler, Urgency
+from semiparam_ros.ros.estimator.consistent import learnt
 from semiparam_ros.ros.estimator.diagnostics import InternalErrors
 from semiparam_ros.ros.estimator.parameters import Parameters
 
@@ -31,6 +31,10 @@ Result = TypeVar('Result')
 
 DISTURBED = ('The robot is touched or has changed, and the bias holds that now: as it should where the sensor was '
              'zeroed; else tare again when that is over.')
+
+
+NOT_APPLIED = ('The robot is touched or has changed: links and friction hold that as far as it is learnt. '
+               'A load is one of its own with diagnosis.auto: apply, or declared among the effects.')
 
 
 class Reply:
@@ -166,11 +170,16 @@ class Services:
     def export_model(self, reply: Reply) -> None:
         """Write what is learnt now to files beside the states."""
         self._lock.take()
-        estimate = from_estimator(self._learner().estimator, None,
-                                  self._node.get_fully_qualified_name())
+        learner = self._learner()
+        estimate = learnt(learner, self._node.get_fully_qualified_name())
+        unknown = learner.disturbed and not learner.changes.applied.acts
+
+        def written(sentence: str) -> str:
+            return f'{sentence} {NOT_APPLIED}' if unknown else sentence
+
         stem = Path(self._parameters.settings.state_file).stem
         self._background.submit(export_to, self._folder, stem, self._description(), estimate,
-                                done=partial(self._finish, '~/export_model', reply, str),
+                                done=partial(self._finish, '~/export_model', reply, written),
                                 urgency=Urgency.ASKED)
 
     def _aside(self, name: str, work: Callable[[], Result], then: Callable[[Result], str], reply: Reply) -> None:
