@@ -13,7 +13,7 @@ from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array, Mask
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
-from semiparam_ros.diagnosis.data.rest import counted_outputs
+from semiparam_ros.diagnosis.data.outliers import counted_outputs
 from semiparam_ros.diagnosis.data.splits import ranges
 from semiparam_ros.diagnosis.regression import Fit
 

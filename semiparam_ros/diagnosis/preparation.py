@@ -21,8 +21,7 @@ from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.signals.smoothing import acceleration_errors, smoothed, smoothed_again
 from semiparam_ros.core.types import Array, Mask
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
-from semiparam_ros.diagnosis.data.outliers import excluded, typical_step, working_factor
-from semiparam_ros.diagnosis.data.rest import counted_outputs
+from semiparam_ros.diagnosis.data.outliers import counted_outputs, excluded, typical_step, working_factor
 from semiparam_ros.diagnosis.data.splits import block_sums
 from semiparam_ros.diagnosis.regression import Fit, fit_model, refit_weights
 from semiparam_ros.diagnosis.search.candidates import held

@@ -16,8 +16,8 @@ from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array, Indices, Mask
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
-from semiparam_ros.diagnosis.data.correlation import correlation_times
-from semiparam_ros.diagnosis.data.rest import sliding
+from semiparam_ros.diagnosis.data.outliers import sliding
+from semiparam_ros.diagnosis.data.splits import correlation_times
 from semiparam_ros.effects import Effect
 
 LARGE = ('corrected', 'blocks', 'in_use', 'order', 'channels', 'derivatives', 'sliding')

@@ -30,8 +30,7 @@ from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array, Indices
 from semiparam_ros.diagnosis.regression import Fit
 from semiparam_ros.diagnosis.search.candidates import added_columns
-from semiparam_ros.diagnosis.search.refit import calibrated_values, moved_by
-from semiparam_ros.diagnosis.search.shapes import Shape, shape_columns, shapes_of
+from semiparam_ros.diagnosis.search.refit import Shape, calibrated_values, moved_by, shape_columns, shapes_of
 from semiparam_ros.effects import Effect
 
 GAIN_STEP = 1e-6

@@ -16,18 +16,16 @@ from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.diagnosis.config import DEFAULTS
-from semiparam_ros.diagnosis.data.correlation import correlation_times
-from semiparam_ros.diagnosis.data.splits import interleaved_split, leading_split, ranges
+from semiparam_ros.diagnosis.data.splits import correlation_times, interleaved_split, leading_split, ranges
 from semiparam_ros.diagnosis.diagnose import VERDICTS, diagnose
 from semiparam_ros.diagnosis.evaluation import evaluate_here, evaluate_there
 from semiparam_ros.diagnosis.findings import Quantity
 from semiparam_ros.diagnosis.regression import fit_model
 from semiparam_ros.diagnosis.residual.noise import noise_floor
 from semiparam_ros.diagnosis.search.candidates import Candidate, added_columns
-from semiparam_ros.diagnosis.search.ranking import worth_refining
 from semiparam_ros.diagnosis.search.refit import declare
 from semiparam_ros.diagnosis.search.revision import pruned
-from semiparam_ros.diagnosis.search.scoring import Trial, coarse_trial, score
+from semiparam_ros.diagnosis.search.scoring import Trial, coarse_trial, score, worth_refining
 from semiparam_ros.diagnosis.search.spans import best_edge, best_spans
 from semiparam_ros.diagnosis.search.stepwise import Rival
 from semiparam_ros.diagnosis.text_report import next_step, quantity_text, table_rows, text_report

@@ -12,8 +12,7 @@ from scipy.stats import multivariate_normal
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.diagnosis.config import DEFAULTS
 from semiparam_ros.diagnosis.regression import fit_model
-from semiparam_ros.diagnosis.search.prior_odds import price
-from semiparam_ros.diagnosis.search.ranking import worth_refining
+from semiparam_ros.diagnosis.search.plausibility import price
 from semiparam_ros.diagnosis.search.refit import declare
 from semiparam_ros.diagnosis.search.revision import pruned
 from semiparam_ros.diagnosis.search.score import (
@@ -26,7 +25,7 @@ from semiparam_ros.diagnosis.search.score import (
     summed,
     worth,
 )
-from semiparam_ros.diagnosis.search.scoring import Trial
+from semiparam_ros.diagnosis.search.scoring import Trial, worth_refining
 from semiparam_ros.diagnosis.search.stepwise import starting_fit
 from semiparam_ros.effects import kinds
 from semiparam_ros.effects.base import Span

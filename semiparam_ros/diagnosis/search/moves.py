@@ -11,8 +11,7 @@ from typing import NamedTuple
 from semiparam_ros.diagnosis.data.recordings import breaks_s
 from semiparam_ros.diagnosis.regression import Fit, with_effects
 from semiparam_ros.diagnosis.search.candidates import Candidate, Place, added_columns, identity, others
-from semiparam_ros.diagnosis.search.plausibility import all_plausible, without_impossible
-from semiparam_ros.diagnosis.search.prior_odds import prices
+from semiparam_ros.diagnosis.search.plausibility import all_plausible, prices, without_impossible
 from semiparam_ros.diagnosis.search.refit import declare
 from semiparam_ros.diagnosis.search.revision import formed_anew, pruned, reshaped
 from semiparam_ros.diagnosis.search.score import Gain, gain

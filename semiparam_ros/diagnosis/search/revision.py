@@ -7,8 +7,7 @@ from collections.abc import Collection
 
 from semiparam_ros.diagnosis.regression import Fit, with_effects
 from semiparam_ros.diagnosis.search.candidates import Candidate, Place, held, identity, others
-from semiparam_ros.diagnosis.search.plausibility import all_plausible
-from semiparam_ros.diagnosis.search.prior_odds import price, prices, usual
+from semiparam_ros.diagnosis.search.plausibility import all_plausible, price, prices, usual
 from semiparam_ros.diagnosis.search.refit import declare, following, settled
 from semiparam_ros.diagnosis.search.score import gain, worth
 from semiparam_ros.diagnosis.search.scoring import coarse_trial, line_searched

@@ -14,8 +14,8 @@ import numpy as np
 from scipy.linalg import cho_solve
 
 from semiparam_ros.core.types import Array, Indices
-from semiparam_ros.diagnosis.data.correlation import correlation_times
 from semiparam_ros.diagnosis.data.recordings import breaks_s
+from semiparam_ros.diagnosis.data.splits import correlation_times
 from semiparam_ros.diagnosis.regression import ROUNDED, Fit
 from semiparam_ros.diagnosis.search.candidates import added_columns
 from semiparam_ros.effects import Effect

@@ -24,10 +24,9 @@ from semiparam_ros.diagnosis.search.moves import (
     simplest,
     single_moves,
 )
-from semiparam_ros.diagnosis.search.ranking import Progress, coarse, refine_foremost
 from semiparam_ros.diagnosis.search.revision import bent, pruned, reshaped, split
 from semiparam_ros.diagnosis.search.score import block_gains
-from semiparam_ros.diagnosis.search.scoring import Trial, overlap
+from semiparam_ros.diagnosis.search.scoring import Progress, Trial, coarse, overlap, refine_foremost
 from semiparam_ros.effects import Effect
 from semiparam_ros.effects.base import place
 
@@ -42,10 +41,10 @@ class Rival(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Step:
-    """One round: the effects added, the rivals of each, the trials by evidence, and effects that it made needless."""
+    """One round: the effects added, the rivals of a single one, the trials by evidence, and effects made needless."""
 
-    added: tuple[Trial, ...]
-    rivals: tuple[tuple[Rival, ...], ...]
+    added: tuple[Effect, ...]
+    rivals: tuple[Rival, ...]
     ranking: tuple[Trial, ...]
     before: Fit
     after: Fit
@@ -105,8 +104,7 @@ def _next_step(fit: Fit, kinds: dict[str, type[Effect]], fixed: Collection[Place
         return None
     step = _made(fit, simplest(good), moves, ranking, fixed, kinds)
     if step is not None:
-        names = [place(trial.effect.kind, trial.effect.where) for trial in step.added]
-        report(f'found {", ".join(names)}', 1.0)
+        report(f'found {", ".join(place(effect.kind, effect.where) for effect in step.added)}', 1.0)
     return step
 
 
@@ -122,13 +120,11 @@ def _made(fit: Fit, best: Move, moves: Sequence[Move], ranking: Sequence[Trial],
     if not found:
         return None
     alone = len(found) == 1 == len(best.added)
-    rivals = _rivals(fit, best, moves) if alone else ()
     if alone:  # a load may have moved to the link nearest to its centre
         ranking = [replace(trial, effect=found[0]) if identity(trial.effect) == added[0] else trial
                    for trial in ranking]
     return Step(
-        added=tuple(Trial(effect, after.residual, 1, evidence=best.gain.total / len(found)) for effect in found),
-        rivals=(rivals,) * len(found), ranking=tuple(ranking), before=fit, after=after,
+        added=found, rivals=_rivals(fit, best, moves) if alone else (), ranking=tuple(ranking), before=fit, after=after,
         dropped=tuple(effect for effect in fit.effects if identity(effect) not in names))
 
 
@@ -152,8 +148,7 @@ def _rivals(fit: Fit, chosen: Move, moves: Sequence[Move]) -> tuple[Rival, ...]:
 def _over(step: Step) -> Step:
     """The step without what only its own round needed, which is far larger than the rest where samples are many."""
     step.before.forget()
-    return replace(step, added=tuple(trial.without_residual() for trial in step.added),
-                   ranking=tuple(trial.without_residual() for trial in step.ranking))
+    return replace(step, ranking=tuple(trial.without_residual() for trial in step.ranking))
 
 
 def _in_round(progress: Progress, number: int) -> Progress:
