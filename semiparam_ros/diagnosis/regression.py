@@ -47,30 +47,6 @@ class Channel(NamedTuple):
     gram: Array
 
 
-@dataclass(frozen=True, eq=False)
-class Explained:
-    """What columns (N, n, c) explain beyond the declared ones of a fit.
-
-    :param coefficients: (c,). :param covariance: (c, c) of them over the noise's variance in scaled units.
-    :param rank: directions that the declared columns do not hold already.
-    :param refit: (p,) by which the coefficients of the declared columns change.
-    :param squares: (n,) sum of squares that is left of the samples in use.
-    """
-
-    fit: Fit
-    columns: Array
-    coefficients: Array
-    covariance: Array
-    rank: int
-    refit: Array
-    squares: Array
-
-    @cached_property
-    def residual(self) -> Array:
-        """(N, n) left afterwards, in the outputs' units."""
-        return self.fit.residual - predicted(self.columns, self.coefficients) - self.fit.predicted(self.refit)
-
-
 class Products(NamedTuple):
     """Of further columns in one channel: their numbers (a,), and their products with one another (a, a), with the
     residual (a,) and with the declared columns that the channel feels (p_k, a), of the samples in use."""
@@ -80,6 +56,44 @@ class Products(NamedTuple):
     inner: Array
     right: Array
     shared: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Explained:
+    """What columns (N, n, c) explain beyond the declared ones of a fit.
+
+    :param products: those of the columns. :param coefficients: (c,).
+    :param rank: directions that the declared columns do not hold already.
+    :param refit: (p,) by which the coefficients of the declared columns change.
+    :param loss: what is left of the fit's, where nothing is known of the coefficients.
+    """
+
+    fit: Fit
+    columns: Array
+    products: list[Products]
+    coefficients: Array
+    rank: int
+    refit: Array
+    loss: float
+
+    @cached_property
+    def residual(self) -> Array:
+        """(N, n) left afterwards, in the outputs' units."""
+        return self.fit.residual - predicted(self.columns, self.coefficients) - self.fit.predicted(self.refit)
+
+    @cached_property
+    def squares(self) -> Array:
+        """(n,) sum of squares that is left of the samples in use."""
+        fit, refit, left = self.fit, self.refit, self.fit.squares.copy()
+        for channel, support in enumerate(fit.support):
+            gram = fit.channels[channel].gram
+            left[channel] += refit[support] @ (gram @ refit[support] - 2.0 * fit.moments[channel])
+        for channel, acting, inner, right, shared in self.products:
+            own = self.coefficients[acting]
+            left[channel] += own @ (inner @ own + 2.0 * (shared.T @ refit[fit.support[channel]] - right))
+        if (left < ROUNDED * fit.squares).any():  # too small a difference of large sums
+            return np.asarray((fit.used(self.residual) ** 2).sum(axis=0))
+        return left
 
 
 class CoefficientPrior(NamedTuple):
@@ -194,7 +208,7 @@ class Fit:
     @cached_property
     def factor(self) -> tuple[Array, bool]:
         """Cholesky factor of the regularised normal matrix."""
-        normal = np.diag(self._precision())
+        normal = np.diag(self.prior_deviation ** -2.0)
         for channel, support, scale in zip(self.channels, self.support, self.scale, strict=True):
             normal[np.ix_(support, support)] += channel.gram / scale**2
         return cho_factor(normal)  # type: ignore[no-any-return]
@@ -244,52 +258,25 @@ class Fit:
             self.__dict__.pop(name, None)
 
     def used(self, values: Array) -> Array:
-        """(M, n, ...) of values (N, n, ...) those of the samples in use, zero where an output does not count."""
-        counted = self.counted[self.train_mask]
-        return np.asarray(values[self.train_mask] * counted.reshape(*counted.shape, *[1] * (values.ndim - 2)))
+        """(M, n) of values (N, n) those of the samples in use, zero where an output does not count."""
+        return np.asarray(values[self.train_mask] * self.counted[self.train_mask])
 
-    def weighed(self, values: Array) -> Array:
-        """(M, n, ...) the same, each channel divided by its scale."""
-        return np.asarray(self.used(values) / self.scale.reshape(-1, *[1] * (values.ndim - 2)))
-
-    def scale_of(self, residual: Array) -> Array:
-        """(n,) root mean square of a residual (N, n) over the outputs in use."""
-        grow = np.sqrt(self.train_mask.sum() / self.counts)
-        return residual_scale(self.used(residual) * grow, self.used(self.samples.outputs) * grow)
+    def scale_of(self, squares: Array) -> Array:
+        """(n,) root mean square of a residual of which the outputs in use have these sums of squares (n,)."""
+        power = (self.used(self.samples.outputs) ** 2).sum(axis=0)
+        return residual_scale(*(np.sqrt(each / self.counts)[None] for each in (squares, power)))
 
     def explain(self, columns: Array, prior: CoefficientPrior | None = None) -> Explained:
         """Regress the residual on columns (N, n, c), the declared ones refitted along."""
         products = self._products(columns)
-        coefficients, covariance, rank, cross, _ = self._regressed(products, columns.shape[2], prior)
-        refit = -cross @ coefficients
-        left = self.squares.copy()
-        for channel, support in enumerate(self.support):
-            gram = self.channels[channel].gram
-            left[channel] += refit[support] @ (gram @ refit[support] - 2.0 * self.moments[channel])
-        for channel, acting, inner, right, shared in products:
-            own = coefficients[acting]
-            left[channel] += own @ (inner @ own + 2.0 * (shared.T @ refit[self.support[channel]] - right))
-        explained = Explained(self, columns, coefficients, covariance, rank, refit, left)
-        if (left < ROUNDED * self.squares).any():  # too small a difference of large sums
-            explained = replace(explained, squares=(self.used(explained.residual) ** 2).sum(axis=0))
-        return explained
+        coefficients, _, rank, cross, right = self._regressed(products, columns.shape[2], prior)
+        loss = self.loss - float(right @ coefficients)
+        return Explained(self, columns, products, coefficients, rank, -cross @ coefficients, loss)
 
     @cached_property
     def moments(self) -> list[Array]:
         """(p_k,) of each channel k the products of what it feels with the residual, of the samples in use."""
         return [rows.T @ left[used] for rows, used, left in zip(self.rows, self.in_use, self.residual.T, strict=True)]
-
-    def loss_with(self, columns: Array) -> tuple[float, Array]:
-        """What :meth:`explain` would leave of the loss, and the coefficients (c,); faster."""
-        coefficients, _, _, _, right = self._regressed(self._products(columns), columns.shape[2])
-        return self.loss - float(right @ coefficients), coefficients
-
-    def step_of_theta(self) -> Array:
-        """(p,) the change that brings theta to its best."""
-        right = self._precision() * (self.prior_mean() - self.theta)
-        for support, moment, scale in zip(self.support, self.moments, self.scale, strict=True):
-            right[support] += moment / scale**2
-        return np.asarray(cho_solve(self.factor, right))
 
     def _products(self, columns: Array) -> list[Products]:
         """Those of further columns (N, n, c), of each channel in which they act."""
@@ -339,9 +326,6 @@ class Fit:
         """(p,) prior standard deviations of theta about its prior mean."""
         return self._with_nuisance(self.assembly.prior_scale, 1.0)
 
-    def _precision(self) -> Array:
-        return np.asarray(self.prior_deviation ** -2.0)
-
     def _with_nuisance(self, values: Array, each: float) -> Array:
         """Values of the coupled columns, followed by the same for each of the nuisance columns."""
         return values if self.nuisance is None else np.append(values, np.full(self.nuisance.shape[2], each))
@@ -363,11 +347,6 @@ def with_effects(fit: Fit, effects: Sequence[Effect]) -> Fit:
     return refitted(fit, effects, fit.nuisance, fit.counted)
 
 
-def with_nuisance(fit: Fit, nuisance: Array | None) -> Fit:
-    """The same samples, weights and effects fitted with these nuisance columns."""
-    return refitted(fit, fit.effects, nuisance, fit.counted)
-
-
 def refitted(fit: Fit, effects: Sequence[Effect], nuisance: Array | None, counted: Mask) -> Fit:
     """The same samples and weights with other effects, nuisance columns or outputs that count."""
     other = replace(fit, effects=tuple(effects), nuisance=nuisance, counted=counted)
@@ -383,7 +362,6 @@ def _correcting(effects: Sequence[Effect]) -> list[Effect]:
     return [effect for effect in effects if type(effect).correct is not Effect.correct]
 
 
-
 def predicted(columns: Array, coefficients: Array) -> Array:
     """(N, n) ``columns @ coefficients`` of columns (N, n, c), in products over all samples: much faster."""
     return np.asarray((coefficients @ columns.transpose(1, 2, 0)).T)
@@ -391,20 +369,23 @@ def predicted(columns: Array, coefficients: Array) -> Array:
 
 def reweighted(fit: Fit, scale: Array) -> Fit:
     """The same model fitted with other weights."""
-    start = with_values(fit, fit.prior_mean(), fit.at_prior, scale)
-    change = start.step_of_theta()
-    return with_values(start, start.theta + change, start.residual - start.predicted(change))
+    start = _with_values(fit, fit.prior_mean(), fit.at_prior, scale, OF_COLUMNS)
+    right = np.zeros(len(start.theta))
+    for support, moment, each in zip(start.support, start.moments, scale, strict=True):
+        right[support] += moment / each**2
+    change = cho_solve(start.factor, right)
+    return _with_values(start, start.theta + change, start.residual - start.predicted(change), scale,
+                        (*OF_COLUMNS, 'factor'))
 
 
 def refit_weights(first: Fit) -> Fit:
     """The same fit with each channel weighed by its own residual."""
-    return reweighted(first, first.scale_of(first.residual))
+    return reweighted(first, first.scale_of(first.squares))
 
 
-def with_values(fit: Fit, theta: Array, residual: Array, scale: Array | None = None) -> Fit:
-    """The same samples and effects, and so the same columns, with other values."""
-    other = replace(fit, scale=fit.scale if scale is None else scale, theta=theta, residual=residual)
-    same = (*OF_COLUMNS, *(('factor',) if scale is None else ()))
+def _with_values(fit: Fit, theta: Array, residual: Array, scale: Array, same: Sequence[str]) -> Fit:
+    """The same samples and effects with other values, and what these leave the ``same``."""
+    other = replace(fit, scale=scale, theta=theta, residual=residual)
     other.__dict__.update({name: fit.__dict__[name] for name in same if name in fit.__dict__})
     return other
 

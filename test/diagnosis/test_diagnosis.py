@@ -703,9 +703,9 @@ def test_a_large_gain_is_settled_by_gauss_newton():
 
 
 def test_calibrations_are_refined_however_little_their_linear_approximation_explains(friction):
-    first, nothing = friction.first, np.zeros((1, 4))
-    springs = [Trial(kinds()['cable_spring']('r_elbow', {}), nothing, 6, evidence=100.0 - rank) for rank in range(9)]
-    delay, faint = (Trial(kinds()['time_delay'](None, {'delay_s': 0.01}), nothing, 1, evidence=each)
+    first, nothing = friction.first, np.zeros(4)
+    springs = [Trial(kinds()['cable_spring']('r_elbow', {}), 6, nothing, evidence=100.0 - rank) for rank in range(9)]
+    delay, faint = (Trial(kinds()['time_delay'](None, {'delay_s': 0.01}), 1, nothing, evidence=each)
                     for each in (50.0, 2.0))
     chosen = worth_refining(replace(first, body=icub()), [*springs, delay, faint])
     assert delay in chosen and faint not in chosen and springs[0] in chosen and springs[8] not in chosen
@@ -713,13 +713,13 @@ def test_calibrations_are_refined_however_little_their_linear_approximation_expl
 
 def test_parameters_cost_evidence_and_correlated_samples_count_less():
     fit = state_of(RECORDED)
-    trial = Trial(kinds()['viscous_drag']('r_hand', {}), 0.9 * fit.residual, 1)
+    trial = Trial(kinds()['viscous_drag']('r_hand', {}), 1, 0.81 * fit.squares)
     white, slow = np.ones(6), np.full(6, 10.0)
     one = score(fit, trial, white).evidence
     assert one == pytest.approx(-6 * 400 * np.log(0.9) - 0.5 * np.log(2400))
     assert score(fit, replace(trial, n_parameters=5), white).evidence == pytest.approx(one - 2.0 * np.log(2400))
     assert score(fit, trial, slow).evidence == pytest.approx(-6 * 40 * np.log(0.9) - 0.5 * np.log(240))
-    assert score(fit, replace(trial, leaves=fit.residual), white).evidence < 0.0
+    assert score(fit, replace(trial, squares=fit.squares), white).evidence < 0.0
 
 
 def test_errors_are_over_the_variance_and_over_the_horizon():

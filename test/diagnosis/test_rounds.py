@@ -17,7 +17,7 @@ from semiparam_ros.diagnosis.data.outliers import counted_outputs, resting
 from semiparam_ros.diagnosis.diagnose import diagnose
 from semiparam_ros.diagnosis.evaluation import evaluation_of
 from semiparam_ros.diagnosis.preparation import ESTIMATED, best_inputs
-from semiparam_ros.diagnosis.regression import Fit, fit_model, with_effects, with_nuisance
+from semiparam_ros.diagnosis.regression import Fit, fit_model, refitted, with_effects
 from semiparam_ros.diagnosis.search.candidates import added_columns, candidates, held
 from semiparam_ros.diagnosis.search.plausibility import all_plausible
 from semiparam_ros.diagnosis.search.refit import declare, gauss_newton
@@ -191,7 +191,7 @@ def test_a_round_that_is_over_keeps_none_of_what_its_models_and_trials_computed(
     assert len(steps) > 0
     for step in steps:
         assert not {'blocks', 'channels', 'corrected', 'derivatives'} & vars(step.before).keys()
-        assert all(len(trial.residual) == 0 for trial in step.ranking)
+        assert all(trial.residual is None for trial in step.ranking)
     others = [one for one in gc.get_objects() if isinstance(one, Fit) and one is not steps[-1].after]
     assert not [one for one in others if one.body is body and one.samples is samples and 'channels' in vars(one)]
 
@@ -204,10 +204,11 @@ def test_a_model_made_of_another_ones_parts_is_the_same_as_one_made_anew(text):
     known = [effect_from_text(each) for each in ('coulomb_friction@grip{"turn_speed": 0.02}',
                                                  'payload@tool{"start_s": 8.0}', 'joint_offset@turn{"offset": 0.1}')]
     nuisance, counted = np.random.default_rng(0).standard_normal((600, 4, 2)), ~resting(samples)
-    first = with_nuisance(fit_model(BODY, samples, known, use, scale, counted=counted), nuisance)
+    first = refitted(fit_model(BODY, samples, known, use, scale, counted=counted), known, nuisance, counted)
     for effects in ([*known, effect_from_text(text)], [known[1], effect_from_text(text), known[0]], known[:1]):
         shared = with_effects(first, effects)
-        anew = with_nuisance(fit_model(BODY, samples, effects, use, scale, counted=counted), nuisance)
+        anew = refitted(fit_model(BODY, samples, effects, use, scale, counted=counted), effects, nuisance,
+                        counted)
         np.testing.assert_allclose(shared.theta, anew.theta, rtol=1e-9, atol=1e-9)
         np.testing.assert_allclose(shared.residual, anew.residual, rtol=1e-9, atol=1e-9)
         columns = CoupledColumns(BODY, effects).batch(samples)[0]

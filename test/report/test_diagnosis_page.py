@@ -333,7 +333,7 @@ def test_the_bars_are_the_ranking_with_the_chosen_one_marked(loaded):
 def test_what_was_added_is_shown_however_far_down_it_ranked():
     def trial(number, evidence):
         effect = kinds()['viscous_friction'](f'joint{number}', {})
-        return Trial(effect, np.zeros((1, 1)), 1, evidence=evidence)
+        return Trial(effect, 1, np.zeros(1), evidence=evidence)
 
     ranking = tuple(trial(number, 100.0 - 10.0 * number) for number in range(12))
     step = Step(added=(ranking[0].effect, ranking[11].effect), rivals=(Rival('viscous_friction', 'joint3', 0.5),),

@@ -15,7 +15,7 @@ import numpy as np
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array
 from semiparam_ros.diagnosis.config import DiagnosisConfig
-from semiparam_ros.diagnosis.regression import Fit, refit_weights, with_nuisance
+from semiparam_ros.diagnosis.regression import Fit, refit_weights, refitted
 from semiparam_ros.diagnosis.residual.noise import resmoothed
 
 
@@ -29,12 +29,12 @@ def with_error_columns(fit: Fit) -> Fit:
         moved[:, joint] += 1.0
         inertia = body.outputs_of(replace(inputs, acceleration=moved), fit.rigid_part) - still  # linear in it
         columns += [inertia * error[:, None] for error in errors]
-    return refit_weights(with_nuisance(fit, np.stack(columns, axis=2)))
+    return refit_weights(refitted(fit, fit.effects, np.stack(columns, axis=2), fit.counted))
 
 
 def without_error_columns(fit: Fit) -> Fit:
     """The same effects fitted to the motion as it is."""
-    return fit if fit.nuisance is None else refit_weights(with_nuisance(fit, None))
+    return fit if fit.nuisance is None else refit_weights(refitted(fit, fit.effects, None, fit.counted))
 
 
 def _differences(samples: Samples, config: DiagnosisConfig) -> Array:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import partial
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -35,30 +35,21 @@ POINT_DIFFERENCE = 1e-3
 class Trial:
     """An effect tried on a declared model.
 
-    :param leaves: (N, n) residual, or what computes it: few are asked for. :param squares: (n,) sum of its squares over
-        the samples in use, where it is known. :param n_parameters: parameters it spends.
+    :param n_parameters: parameters it spends. :param squares: (n,) sum of squares that it leaves of the samples in use.
+    :param residual: computes the (N, n) that it leaves, for few are asked for; None once the round is over.
     """
 
     effect: Effect
-    leaves: Array | Callable[[], Array]
     n_parameters: int
+    squares: Array
+    residual: Callable[[], Array] | None = None
     physical: bool = True  # the cause can have these coefficients
     evidence: float = 0.0  # [nat] over the declared model
-    squares: Array | None = None
-
-    @cached_property
-    def residual(self) -> Array:
-        """(N, n) left; (0, n) once the round is over."""
-        return self.leaves() if callable(self.leaves) else self.leaves
 
     @property
     def many_valued(self) -> bool:
         """Whether the best value of one nonlinear parameter depends on another; a coarse search tries few."""
         return len(self.effect.searched) > 1
-
-    def without_residual(self) -> Trial:
-        """What a report needs of it: a round tries hundreds, and each leaves as many numbers as were measured."""
-        return replace(self, leaves=np.zeros((0, 0)), squares=None)
 
 
 def coarse_trial(fit: Fit, candidate: Candidate) -> Trial | None:
@@ -67,9 +58,9 @@ def coarse_trial(fit: Fit, candidate: Candidate) -> Trial | None:
     reference = next((known.reference for known in fit.effects if known.reference), tuple(fit.rigid_part.tolist()))
     for values in candidate.searches:
         effect, columns = _started(fit, candidate.kind.from_values(candidate.where, values, reference))
-        loss, coefficients = fit.loss_with(columns)
-        if (effect.is_calibration or effect.physical(coefficients)) and (best is None or loss < best[0]):
-            best = (loss, effect, columns)
+        told = fit.explain(columns)
+        if (effect.is_calibration or effect.physical(told.coefficients)) and (best is None or told.loss < best[0]):
+            best = told.loss, effect, columns
     return None if best is None else _fitted(fit, *best[1:])
 
 
@@ -90,13 +81,13 @@ def _linear_trial(fit: Fit, effect: Effect) -> Trial:
 
 
 def _fitted(fit: Fit, effect: Effect, columns: Array) -> Trial:
-    explained = fit.explain(columns)
-    leaves = partial(_left_by, fit, effect)
+    explained, residual = fit.explain(columns), partial(_left_by, fit, effect)
     if effect.is_calibration:
         names = [coefficient.name for coefficient in effect.calibrations]
         effect = effect.with_values(**dict(zip(names, explained.coefficients.tolist(), strict=True)))
     physical = effect.is_calibration or effect.physical(explained.coefficients)
-    return Trial(effect, leaves, explained.rank + nonlinear(effect), physical, squares=explained.squares)
+    values = len(effect.searched) + len(effect.span.values)
+    return Trial(effect, explained.rank + values, explained.squares, residual, physical)
 
 
 def _left_by(fit: Fit, effect: Effect) -> Array:
@@ -104,25 +95,15 @@ def _left_by(fit: Fit, effect: Effect) -> Array:
     return fit.explain(added_columns(fit, effect)).residual
 
 
-def _squares(fit: Fit, trial: Trial) -> Array:
-    """(n,) sum of squares that the trial leaves of the samples in use."""
-    return (fit.used(trial.residual) ** 2).sum(axis=0) if trial.squares is None else trial.squares
-
-
-def nonlinear(effect: Effect) -> int:
-    """Number of values that an effect's search chose."""
-    return len(effect.searched) + len(effect.span.values)
-
-
 def squared_loss(fit: Fit, trial: Trial) -> float:
     """Sum of squares, in scaled units, that the trial leaves of the samples in use."""
-    return float((_squares(fit, trial) / fit.scale**2).sum())
+    return float((trial.squares / fit.scale**2).sum())
 
 
 def score(fit: Fit, trial: Trial, correlation: Array) -> Trial:
     """The trial with its evidence over the declared model; channel k is correlated over correlation[k] samples."""
     counts = fit.counts / correlation
-    gain = 0.5 * float(counts @ np.log(fit.squares / _squares(fit, trial)))
+    gain = 0.5 * float(counts @ np.log(fit.squares / trial.squares))
     return replace(trial, evidence=gain - 0.5 * trial.n_parameters * float(np.log(counts.sum())))
 
 
@@ -131,7 +112,7 @@ def refined(fit: Fit, trial: Trial) -> Trial:
     near = _weighed(fit, trial)
     if trial.effect.is_calibration:
         settled = gauss_newton(with_effects(near, [*fit.effects, trial.effect]), [trial.effect])
-        return replace(trial, effect=settled.effects[-1], leaves=settled.residual, squares=settled.squares)
+        return replace(trial, effect=settled.effects[-1], residual=lambda: settled.residual, squares=settled.squares)
     best = _refined_once(near, trial)
     if trial.many_valued:
         best = _settled(fit, best)
@@ -159,7 +140,7 @@ def _refined_once(fit: Fit, trial: Trial) -> Trial:
 
 def _weighed(fit: Fit, trial: Trial) -> Fit:
     """The declared model with the weights of what the trial leaves."""
-    return reweighted(fit, fit.scale_of(trial.residual))
+    return reweighted(fit, fit.scale_of(trial.squares))
 
 
 def _at_best_link(fit: Fit, trial: Trial) -> Trial:
@@ -205,7 +186,7 @@ def line_searched(fit: Fit, effect: Effect, name: str) -> Effect:
 
     def cost(value: float) -> float:
         moved = effect.with_values(**{name: value})
-        return fit.loss_with(added_columns(fit, moved))[0]
+        return fit.explain(added_columns(fit, moved)).loss
 
     best = minimize_scalar(cost, bounds=(low, high), method='bounded',
                            options={'maxiter': fit.config.refine_evaluations})
@@ -214,15 +195,16 @@ def line_searched(fit: Fit, effect: Effect, name: str) -> Effect:
 
 def correlation_of(fit: Fit, trials: Sequence[Trial]) -> Array:
     """(n,) correlation time [samples] of each channel in what the trial that explains it best leaves of it."""
-    left = np.array([_squares(fit, trial) for trial in trials])
-    best = [fit.used(trials[index].residual)[:, channel] for channel, index in enumerate(left.argmin(axis=0))]
-    return correlation_times(np.column_stack(best), fit.config)
+    best = np.array([trial.squares for trial in trials]).argmin(axis=0)
+    left = [trials[index].residual for index in best.tolist()]
+    columns = [fit.used(residual())[:, channel] for channel, residual in enumerate(left) if residual is not None]
+    return correlation_times(np.column_stack(columns), fit.config)
 
 
 def overlap(fit: Fit, one: Array, other: Array) -> float:
     """Cosine between what two models explain that leave residuals (N, n): 1 when they explain the same, 0 when
     different things."""
-    first, second = (fit.weighed(fit.residual - left).ravel() for left in (one, other))
+    first, second = ((fit.used(fit.residual - left) / fit.scale).ravel() for left in (one, other))
     return float(first @ second / (np.linalg.norm(first) * np.linalg.norm(second) + 1e-300))
 
 

@@ -148,7 +148,7 @@ def _rivals(fit: Fit, chosen: Move, moves: Sequence[Move]) -> tuple[Rival, ...]:
 def _over(step: Step) -> Step:
     """The step without what only its own round needed, which is far larger than the rest where samples are many."""
     step.before.forget()
-    return replace(step, ranking=tuple(trial.without_residual() for trial in step.ranking))
+    return replace(step, ranking=tuple(replace(trial, residual=None) for trial in step.ranking))
 
 
 def _in_round(progress: Progress, number: int) -> Progress:
