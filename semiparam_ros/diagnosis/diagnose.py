@@ -21,9 +21,8 @@ from semiparam_ros.diagnosis.preparation import Inputs, bursts, late, prepared, 
 from semiparam_ros.diagnosis.regression import Fit
 from semiparam_ros.diagnosis.residual.contacts import Contact, contacts
 from semiparam_ros.diagnosis.residual.flexible import StandardisedInputs, explained
-from semiparam_ros.diagnosis.residual.noise import noise_floor
+from semiparam_ros.diagnosis.residual.noise import noise_floor, with_error_columns, without_error_columns
 from semiparam_ros.diagnosis.residual.structure import Structure, remaining_structure, samples_to_look_at
-from semiparam_ros.diagnosis.search.input_errors import with_error_columns, without_error_columns
 from semiparam_ros.diagnosis.search.plausibility import all_plausible
 from semiparam_ros.diagnosis.search.refit import calibrated, fitted_to_all
 from semiparam_ros.diagnosis.search.score import summed

@@ -24,6 +24,7 @@ from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
 from semiparam_ros.diagnosis.data.outliers import counted_outputs, excluded, typical_step, working_factor
 from semiparam_ros.diagnosis.data.splits import block_sums
 from semiparam_ros.diagnosis.regression import Fit, fit_model, refit_weights
+from semiparam_ros.diagnosis.residual.noise import inertia_columns
 from semiparam_ros.diagnosis.search.candidates import held
 from semiparam_ros.diagnosis.search.score import block_edges, block_grams, summed
 from semiparam_ros.effects import Effect, kinds
@@ -204,24 +205,13 @@ def too_fast(body: RigidBody, samples: Samples, inputs: Inputs, fit: Fit) -> lis
     config, raw, smoother = fit.config, inputs.working(samples), SMOOTHED[inputs.motion]
     spread = fit.samples.acceleration.std(axis=0)
     left = fit.squares / np.maximum(fit.counts, 1.0)
-    still = body.outputs_of(fit.samples, fit.rigid_part)
-
-    def share(errors: Array) -> float:
-        """The largest share, over the outputs, of what is left that these errors (n_joints,) make."""
-        made = np.zeros(body.n_outputs)
-        for joint, error in enumerate(errors):
-            acceleration = fit.samples.acceleration.copy()
-            acceleration[:, joint] += error
-            moved = body.outputs_of(replace(fit.samples, acceleration=acceleration), fit.rigid_part)
-            made += np.mean((moved - still)[fit.train_mask] ** 2, axis=0)
-        return float((made / left).max())
-
+    power = np.mean(inertia_columns(body, fit.samples, fit.rigid_part)[fit.train_mask] ** 2, axis=0)
     errors, *finer = acceleration_errors(raw, *smoother, times=(1, *config.faster))
-    if not share(errors) >= config.most:  # nor where they are not known
+    share, *shares = [float((power @ each**2 / left).max()) for each in (errors, *finer)]
+    if not share >= config.most:  # nor where they are not known
         return []
     rate = 1e9 / float(np.median(np.diff(raw.stamps)))
-    enough = next((times for times, fewer in zip(config.faster, finer, strict=True)
-                   if share(fewer) < config.little), None)
+    enough = next((times for times, fewer in zip(config.faster, shares, strict=True) if fewer < config.little), None)
     worst = int((errors / np.maximum(spread, 1e-12)).argmax())
     remedy = f'record at {rate * enough:.0f} Hz, or measure them' if enough else 'measure them'
     return [f'The motion is too fast for {rate:.0f} Hz: accelerations cannot be had better than to '
