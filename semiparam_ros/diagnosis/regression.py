@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -20,7 +20,7 @@ from semiparam_ros.diagnosis.data.outliers import sliding
 from semiparam_ros.diagnosis.data.splits import correlation_times
 from semiparam_ros.effects import Effect
 
-LARGE = ('corrected', 'blocks', 'in_use', 'order', 'channels', 'derivatives', 'sliding')
+LARGE = ('corrected', 'blocks', 'in_use', 'order', 'channels', 'asked', 'sliding')
 """What a fit computes when it is asked for: far more than the rest of it, where samples are many."""
 OF_COLUMNS = ('assembly', 'prior_deviation', 'corrected', 'blocks', 'in_use', 'order', 'channels', 'support',
               'at_prior')
@@ -189,8 +189,8 @@ class Fit:
         return [channel.columns[:, :len(used)].T for channel, used in zip(self.channels, self.in_use, strict=True)]
 
     @cached_property
-    def derivatives(self) -> dict[object, Array]:
-        """(N, n, c) each, those of the prediction that were asked for, by what they are derivatives of."""
+    def asked(self) -> dict[object, Any]:
+        """Derivatives of the prediction and sums of blocks that were asked for, by what they are of."""
         return {}
 
     def predicted(self, theta: Array) -> Array:

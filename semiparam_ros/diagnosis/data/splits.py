@@ -38,11 +38,13 @@ def correlation_times(residual: Array, config: DiagnosisConfig = DEFAULTS) -> Ar
     return np.array([_channel_time(column, config.longest_correlation_share) for column in residual.T])
 
 
+def autocovariance(values: Array) -> Array:
+    """(2 N,) sums of products of values (N,), less their mean, with those after them, by lag."""
+    return np.asarray(np.fft.irfft(np.abs(np.fft.rfft(values - values.mean(), 2 * len(values))) ** 2))
+
+
 def _channel_time(values: Array, longest_share: float) -> float:
-    count = len(values)
-    centred = values - values.mean()
-    spectrum = np.abs(np.fft.rfft(centred, 2 * count)) ** 2
-    covariance = np.fft.irfft(spectrum)[:max(int(longest_share * count), 2)]
+    covariance = autocovariance(values)[:max(int(longest_share * len(values)), 2)]
     if covariance[0] <= 0.0:
         return 1.0
     correlation = covariance / covariance[0]

@@ -25,6 +25,7 @@ from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array, Mask
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
 from semiparam_ros.diagnosis.data.outliers import typical_step
+from semiparam_ros.diagnosis.data.splits import autocovariance
 from semiparam_ros.diagnosis.regression import Fit, refit_weights, refitted
 
 WHITENING = 1e-9
@@ -54,8 +55,7 @@ def coloured_noise(residual: Array, count: int, seed: int = 0, config: Diagnosis
 
 def _autoregression(values: Array, order: int) -> tuple[Array, float]:
     """(order,) weights of the past values, and the standard deviation of what they do not predict (Yule-Walker)."""
-    spectrum = np.abs(np.fft.rfft(values - values.mean(), 2 * len(values))) ** 2
-    covariance = np.fft.irfft(spectrum)[:order + 1] / len(values)
+    covariance = autocovariance(values)[:order + 1] / len(values)
     if covariance[0] <= 0.0:
         return np.zeros(order), 0.0
     covariance[0] *= 1.0 + WHITENING

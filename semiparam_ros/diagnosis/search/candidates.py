@@ -59,27 +59,26 @@ def added_columns(fit: Fit, effect: Effect) -> Array:
     if effect.is_calibration:
         values = {**{name: 0.0 for name, _ in effect.calibrations}, **effect.values}
         key = effect.kind, effect.where, *values.items()
-        if key not in fit.derivatives:
-            fit.derivatives[key] = _derivatives(fit, effect)
-        return fit.derivatives[key]
+        if key not in fit.asked:
+            fit.asked[key] = _derivatives(fit, effect)
+        return np.asarray(fit.asked[key])
     return effect.columns(*fit.corrected, None)[0]
 
 
 def _derivatives(fit: Fit, effect: Effect) -> Array:
-    names = [coefficient.name for coefficient in effect.calibrations]
+    """(N, n, c) central differences of the prediction by the calibrations, at their present values."""
+    rest = others(fit, effect)  # without what the effect has shaped already
     still = type(effect).correct is Effect.correct
-    load = _rigid_prediction(fit, others(fit, effect)) if still else None  # without what the effect has shaped already
-    return np.stack([_derivative(fit, effect, name, load) for name in names], axis=2)
+    load = _shaped_load(fit, rest, *_corrected(fit, rest)) if still else None
 
-
-def _derivative(fit: Fit, effect: Effect, name: str, load: Array | None) -> Array:
-    """(N, n) central difference of the prediction by one calibration, at its present value."""
-    sides = []
-    for step in (DERIVATIVE_STEP, -DERIVATIVE_STEP):
+    def prediction(name: str, step: float) -> Array:
         moved = effect.with_values(**{name: effect.value(name) + step})
-        sides.append(moved.transform(fit.body, load) if load is not None
-                     else _prediction(fit, [*others(fit, effect), moved], effect.moves_friction))
-    return np.asarray((sides[0] - sides[1])[:, :, 0] / (2.0 * DERIVATIVE_STEP))
+        return moved.transform(fit.body, load) if load is not None else \
+            _prediction(fit, [*rest, moved], effect.moves_friction)
+
+    step = DERIVATIVE_STEP
+    return np.concatenate([(prediction(name, step) - prediction(name, -step)) / (2.0 * step)
+                           for name, _ in effect.calibrations], axis=2)
 
 
 def others(fit: Fit, effect: Effect) -> list[Effect]:
@@ -87,13 +86,9 @@ def others(fit: Fit, effect: Effect) -> list[Effect]:
     return [known for known in fit.effects if identity(known) != identity(effect)]
 
 
-def _rigid_prediction(fit: Fit, effects: list[Effect]) -> Array:
-    """(N, n, 1) outputs of the rigid body and of what it carries, as the effects correct and shape it."""
-    return _shaped_load(fit, effects, *_corrected(fit, effects))
-
-
 def _prediction(fit: Fit, effects: list[Effect], whole: bool) -> Array:
-    """(N, n, 1) the same, or outputs of the whole model: late efforts bring late friction with them."""
+    """(N, n, 1) outputs of the rigid body and of what it carries, as the effects correct and shape it, or of the
+    whole model: late efforts bring late friction with them."""
     body, inputs = _corrected(fit, effects)
     load = _shaped_load(fit, effects, body, inputs)
     return load + _of_effects(fit, body, inputs, loads=False) if whole else load

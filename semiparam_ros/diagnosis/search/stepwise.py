@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -24,7 +25,7 @@ from semiparam_ros.diagnosis.search.moves import (
     simplest,
     single_moves,
 )
-from semiparam_ros.diagnosis.search.revision import bent, pruned, reshaped, split
+from semiparam_ros.diagnosis.search.revision import bent, pruned, reshaped
 from semiparam_ros.diagnosis.search.score import block_gains
 from semiparam_ros.diagnosis.search.scoring import Progress, Trial, coarse, overlap, refine_foremost
 from semiparam_ros.effects import Effect
@@ -70,17 +71,16 @@ def search(fit: Fit, kinds: dict[str, type[Effect]], progress: Progress = lambda
     steps: list[Step] = []
     for _ in range(fit.config.most_rounds):
         late = bool(steps) and len(steps[-1].added) > 1  # what moves in time bends what was just found at many places
-        step = _next_step(fit, kinds, fixed, late, _in_round(progress, len(steps) + 1))
+        step = _next_step(fit, kinds, fixed, late, partial(_report, progress, len(steps) + 1))
         if step is None:
-            if not steps:
-                break
-            shaped = reshaped(fit, fixed, kinds)
+            shaped = reshaped(fit, fixed, kinds) if steps else fit
             if shaped is fit:
                 break
             fit = pruned(shaped, fixed, kinds)
             steps[-1] = replace(steps[-1], after=fit)
             continue
-        steps.append(_over(step))
+        step.before.forget()  # far larger than the rest, and of this round alone, as what its trials leave
+        steps.append(replace(step, ranking=tuple(replace(trial, residual=None) for trial in step.ranking)))
         fit = step.after
         if hopeless(fit):
             break
@@ -112,8 +112,7 @@ def _made(fit: Fit, best: Move, moves: Sequence[Move], ranking: Sequence[Trial],
           kinds: Collection[str]) -> Step | None:
     """The step that a move is, with what was added at its best and what it makes needless taken off."""
     added = [identity(effect) for effect in best.added]
-    after = bent(best.after, added, kinds)
-    after = pruned(split(after, added, kinds), fixed, kinds)
+    after = pruned(bent(best.after, added, kinds), fixed, kinds)
     before = {(identity(effect), effect.end_s) for effect in fit.effects}
     names = {identity(effect) for effect in after.effects}
     found = tuple(effect for effect in after.effects if (identity(effect), effect.end_s) not in before)
@@ -145,13 +144,5 @@ def _rivals(fit: Fit, chosen: Move, moves: Sequence[Move]) -> tuple[Rival, ...]:
     return tuple(found)
 
 
-def _over(step: Step) -> Step:
-    """The step without what only its own round needed, which is far larger than the rest where samples are many."""
-    step.before.forget()
-    return replace(step, ranking=tuple(replace(trial, residual=None) for trial in step.ranking))
-
-
-def _in_round(progress: Progress, number: int) -> Progress:
-    def report(words: str, share: float) -> None:
-        progress(f'round {number}: {words}', share)
-    return report
+def _report(progress: Progress, number: int, words: str, share: float) -> None:
+    progress(f'round {number}: {words}', share)
