@@ -341,7 +341,10 @@ def _notes(samples: Samples, start: _Start, found: list[Finding]) -> list[str]:
     """Doubts that are said beside the result."""
     config = start.first.config
     stamps = bursts(samples, config) or late(start.inputs, samples)
-    return [*stamps, *unidentifiable(start.first.body, samples, config), *_left_out(start.clean),
+    count, left_out = int((~start.clean).sum()), list[str]()
+    if count:
+        left_out = [f'{count} of {len(samples)} samples next to gaps and shocks are left out.']
+    return [*stamps, *unidentifiable(start.first.body, samples, config), *left_out,
             *_changed_in_gaps(found, samples, config)]
 
 
@@ -357,11 +360,6 @@ def _changed_in_gaps(found: list[Finding], samples: Samples, config: DiagnosisCo
                     sentences.append(f'{place(effect.kind, effect.where)} {word} between {gap.start_s:.1f} and '
                                      f'{gap.start_s + gap.length_s:.1f} s, where nothing was looked at.')
     return sentences
-
-
-def _left_out(valid: Mask) -> list[str]:
-    count = int((~valid).sum())
-    return [f'{count} of {len(valid)} samples next to gaps and shocks are left out.'] if count else []
 
 
 def function_explains_more(first: Fit, final: Fit) -> bool:

@@ -162,18 +162,11 @@ def best_inputs(body: RigidBody, samples: Samples, effects: Sequence[Effect], tr
     return options[next(name for name in options if lost[name].total <= lost[name].error)]
 
 
-class Prepared(NamedTuple):
-    """Working samples: how they were prepared, which (N,) may be used, and which outputs (N, n) tell something."""
-
-    inputs: Inputs
-    samples: Samples
-    used: Mask
-    counted: Mask
-
-
 def prepared(body: RigidBody, samples: Samples, effects: Sequence[Effect], may_fit: Mask,
-             config: DiagnosisConfig = DEFAULTS, inputs: Inputs | None = None, clean: Mask | None = None) -> Prepared:
-    """Samples as a model with these effects is fitted to them.
+             config: DiagnosisConfig = DEFAULTS, inputs: Inputs | None = None,
+             clean: Mask | None = None) -> tuple[Inputs, Samples, Mask, Mask]:
+    """How samples are prepared for a model with these effects, the working samples, which (M,) of them may be used, and
+    which of their outputs (M, n) tell something.
 
     :param may_fit: (N,) those that choose the motion. :param inputs: how to prepare them; chosen unless given.
     :param clean: (N,) those that may be used; all beside no gap and no shock unless given.
@@ -182,7 +175,7 @@ def prepared(body: RigidBody, samples: Samples, effects: Sequence[Effect], may_f
     inputs = inputs or best_inputs(body, samples, effects, clean & may_fit, config)
     chosen = inputs.prepare(samples)
     counted = counted_outputs(body, chosen, config)
-    return Prepared(inputs, chosen, inputs.mask(clean) & counted.any(axis=1), counted)
+    return inputs, chosen, inputs.mask(clean) & counted.any(axis=1), counted
 
 
 def with_usual(body: RigidBody, samples: Samples, effects: Sequence[Effect]) -> list[Effect]:

@@ -92,21 +92,13 @@ def _further(fit: Fit, calibrated: Sequence[int], shapes: list[Shape]) -> list[A
     return [*(added_columns(fit, fit.effects[number]) for number in calibrated), shape_columns(fit, shapes)]
 
 
-class _Rows(NamedTuple):
-    """Of a channel's samples in use (M,) the columns that act there (a,), over the channel's scale (M, a)."""
-
-    channel: int
-    used: Indices
-    acting: Indices
-    weighed: Array
-
-
-def _rows(fit: Fit, columns: Array) -> Iterator[_Rows]:
-    """Those of theta's columns and further ones (N, n, c)."""
+def _rows(fit: Fit, columns: Array) -> Iterator[tuple[int, Indices, Indices, Array]]:
+    """Each channel, its samples in use (M,), the columns of theta and further ones (N, n, c) that act there (a,), and
+    these over the channel's scale (M, a)."""
     further = fit.n_columns + np.arange(columns.shape[2])
     for channel, (used, support, rows) in enumerate(zip(fit.in_use, fit.support, fit.rows, strict=True)):
         weighed = np.hstack([rows, columns[used, channel]]) / fit.scale[channel]
-        yield _Rows(channel, used, np.append(support, further), weighed)
+        yield channel, used, np.append(support, further), weighed
 
 
 def _deviations(fit: Fit, columns: Array, told: Array) -> Array:

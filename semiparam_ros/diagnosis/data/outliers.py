@@ -87,10 +87,7 @@ def shocks(channel: Array, config: DiagnosisConfig = DEFAULTS) -> Mask:
     moved = np.abs(changes[changes != 0.0])
     usual = max(NORMAL_MAD * float(np.median(sizes)), float(moved.min()) if len(moved) else 0.0)
     hit = (sizes > config.shock_deviations * usual) & (sizes > config.shock_share * channel.std())
-    mask = np.zeros(len(channel), dtype=bool)
-    mask[:-1] |= hit
-    mask[1:] |= hit
-    return mask
+    return np.append(hit, False) | np.append(False, hit)
 
 
 def _around(time: Array, hit: Mask, margin_s: float) -> Mask:

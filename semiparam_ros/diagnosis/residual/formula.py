@@ -154,14 +154,11 @@ def find_formula(variables: Sequence[str], body: RigidBody, samples: Samples, va
 
     Orthogonal matching pursuit puts the terms in order; blocks left out of the fit say how many of them to keep.
     """
-    names = library(variables, body, samples, config)
+    terms = {name: term_values(name, body, samples) for name in library(variables, body, samples, config)}
+    names = [name for name, each in terms.items() if each.std() > 1e-9]
     if not names:
         return None
-    columns = np.column_stack([term_values(name, body, samples) for name in names])
-    usable = columns.std(axis=0) > 1e-9
-    names, columns = [name for name, keep in zip(names, usable, strict=True) if keep], columns[:, usable]
-    if not names:
-        return None
+    columns = np.column_stack([terms[name] for name in names])
     shares = _held_out_shares(columns, values, config)
     if shares.max() < config.channel_share:
         return None

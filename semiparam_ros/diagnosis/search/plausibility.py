@@ -44,27 +44,25 @@ def plausible(fit: Fit, index: int) -> bool:
     effect = fit.effects[index]
     block = fit.assembly.blocks[str(index)]
     theta = fit.theta[block]
-    if not effect.conceivable(fit.body, theta):
-        return False
-    if effect.is_body and not _is_a_body(fit, theta, block):
-        return False
-    return not effect.is_load or _weighs(fit, theta, block)
+    if not effect.is_load:
+        return effect.conceivable(fit.body, theta)
+    covariance = fit.theta_covariance()[block, block] * float(fit.correlation.mean())
+    return effect.conceivable(fit.body, theta) and _weighs(fit, theta, covariance) and not (
+        effect.is_body and not _is_a_body(fit, theta, covariance))
 
 
-def _weighs(fit: Fit, theta: Array, block: slice) -> bool:
+def _weighs(fit: Fit, theta: Array, covariance: Array) -> bool:
     """Whether the mass and the first moments of a load are more than chance: what has none is no load, however much
     inertia it seems to have."""
-    part = slice(block.start, block.start + 4)
-    covariance = fit.theta_covariance()[part, part] * float(fit.correlation.mean())
-    return float(theta[:4] @ np.linalg.lstsq(covariance, theta[:4], rcond=1e-12)[0]) > fit.config.weight_shows
+    distance = theta[:4] @ np.linalg.lstsq(covariance[:4, :4], theta[:4], rcond=1e-12)[0]
+    return float(distance) > fit.config.weight_shows
 
 
-def _is_a_body(fit: Fit, theta: Array, block: slice) -> bool:
+def _is_a_body(fit: Fit, theta: Array, covariance: Array) -> bool:
     """Whether ten inertial parameters are, within their uncertainty, those of a body: its pseudo-inertia has no
     negative eigenvalue (Wensing, Kim and Slotine 2018)."""
     values, vectors = np.linalg.eigh(pseudo_inertia(theta))
     slopes = np.einsum('ik,pij,jk->kp', vectors, OF_PSEUDO_INERTIA, vectors)  # of each eigenvalue
-    covariance = fit.theta_covariance()[block, block] * float(fit.correlation.mean())
     deviations = np.sqrt(np.einsum('kp,pq,kq->k', slopes, covariance, slopes))
     return bool(np.all(values > -fit.config.unlike_a_body * deviations))
 
