@@ -20,31 +20,12 @@ from semiparam_ros.diagnosis.data.outliers import sliding
 from semiparam_ros.diagnosis.data.splits import correlation_times
 from semiparam_ros.effects import Effect
 
-LARGE = ('corrected', 'blocks', 'in_use', 'order', 'channels', 'asked', 'sliding')
+LARGE = ('corrected', 'blocks', 'in_use', 'rows', 'asked', 'sliding')
 """What a fit computes when it is asked for: far more than the rest of it, where samples are many."""
-OF_COLUMNS = ('assembly', 'prior_deviation', 'corrected', 'blocks', 'in_use', 'order', 'channels', 'support',
-              'at_prior')
+OF_COLUMNS = ('assembly', 'prior_deviation', 'corrected', 'blocks', 'in_use', 'support', 'rows', 'grams', 'at_prior')
 """What neither its weights nor its outputs change."""
 ROUNDED = 1e-9
 """Share of the squares from which on a difference of their sums keeps enough digits."""
-
-
-class Block(NamedTuple):
-    """Columns (N, n, c) of one cause, and of each channel the numbers of those that are not zero there."""
-
-    columns: Array
-    support: list[Indices]
-
-
-class Channel(NamedTuple):
-    """What one output feels: a joint feels few bodies of a robot with limbs, and nothing of what rubs in other joints.
-
-    ``columns`` (p_k, N) holds the samples in use first; ``gram`` (p_k, p_k) are the products of these, not divided by
-    the channel's scale.
-    """
-
-    columns: Array
-    gram: Array
 
 
 class Products(NamedTuple):
@@ -86,8 +67,7 @@ class Explained:
         """(n,) sum of squares that is left of the samples in use."""
         fit, refit, left = self.fit, self.refit, self.fit.squares.copy()
         for channel, support in enumerate(fit.support):
-            gram = fit.channels[channel].gram
-            left[channel] += refit[support] @ (gram @ refit[support] - 2.0 * fit.moments[channel])
+            left[channel] += refit[support] @ (fit.grams[channel] @ refit[support] - 2.0 * fit.moments[channel])
         for channel, acting, inner, right, shared in self.products:
             own = self.coefficients[acting]
             left[channel] += own @ (inner @ own + 2.0 * (shared.T @ refit[fit.support[channel]] - right))
@@ -137,19 +117,17 @@ class Fit:
         return body, inputs
 
     @cached_property
-    def blocks(self) -> list[Block]:
+    def blocks(self) -> list[Array]:
         """C (N, n, p) in parts: those of the rigid body, the offset and the effects, then the nuisance columns."""
         assembly, (body, inputs) = self.assembly, self.corrected
         parts = [assembly.rigid(body, inputs), assembly.offset(len(inputs)),
                  *(assembly.of_effect(index, body, inputs) for index in range(len(self.effects)))]
-        if self.nuisance is not None:
-            parts.append(self.nuisance)
-        return [Block(part, [np.flatnonzero(acting) for acting in np.asarray(part.any(axis=0))]) for part in parts]
+        return parts if self.nuisance is None else [*parts, self.nuisance]
 
     @property
     def n_columns(self) -> int:
         """p."""
-        return sum(block.columns.shape[2] for block in self.blocks)
+        return sum(block.shape[2] for block in self.blocks)
 
     @cached_property
     def in_use(self) -> list[Indices]:
@@ -157,36 +135,27 @@ class Fit:
         return [np.flatnonzero(self.train_mask & counted) for counted in self.counted.T]
 
     @cached_property
-    def order(self) -> list[Indices]:
-        """(N,) of each channel k the numbers of all samples, those in use whose output counts first."""
-        return [np.append(used, np.flatnonzero(~(self.train_mask & counted)))
-                for used, counted in zip(self.in_use, self.counted.T, strict=True)]
-
-    @cached_property
     def support(self) -> list[Indices]:
-        """(p_k,) of each channel k the numbers of the columns that are not zero there."""
-        starts = np.cumsum([0, *(block.columns.shape[2] for block in self.blocks)])
-        return [np.concatenate([start + block.support[channel]
-                                for start, block in zip(starts, self.blocks, strict=False)])
-                for channel in range(len(self.scale))]
+        """(p_k,) of each channel k the numbers of the columns that are not zero there: a joint feels few bodies of a
+        robot with limbs, and nothing of what rubs in other joints."""
+        return [np.flatnonzero(acts) for acts in np.hstack([block.any(axis=0) for block in self.blocks])]
 
     @cached_property
-    def channels(self) -> list[Channel]:
-        """What each channel feels of the columns."""
-        return [self._channel(number) for number in range(len(self.scale))]
-
-    def _channel(self, number: int) -> Channel:
-        order, used = self.order[number], len(self.in_use[number])
-        felt = [block.columns[:, number, column] for block in self.blocks for column in block.support[number].tolist()]
-        columns = np.empty((len(felt), len(order)))
-        for row, values in zip(columns, felt, strict=True):
-            np.take(values, order, out=row, mode='clip')  # 'raise' would buffer
-        return Channel(columns, columns[:, :used] @ columns[:, :used].T)
-
-    @property
     def rows(self) -> list[Array]:
         """(M_k, p_k) of each channel k the columns in use that it feels, not divided by its scale."""
-        return [channel.columns[:, :len(used)].T for channel, used in zip(self.channels, self.in_use, strict=True)]
+        columns = [(block, column) for block in self.blocks for column in range(block.shape[2])]
+        found = []
+        for channel, (used, support) in enumerate(zip(self.in_use, self.support, strict=True)):
+            rows = np.empty((len(support), len(used)))
+            for row, (block, column) in zip(rows, [columns[number] for number in support], strict=True):
+                np.take(block[:, channel, column], used, out=row, mode='clip')  # 'raise' would buffer
+            found.append(rows.T)
+        return found
+
+    @cached_property
+    def grams(self) -> list[Array]:
+        """(p_k, p_k) of each channel k the products of these columns."""
+        return [rows.T @ rows for rows in self.rows]
 
     @cached_property
     def asked(self) -> dict[object, Any]:
@@ -195,10 +164,9 @@ class Fit:
 
     def predicted(self, theta: Array) -> Array:
         """(N, n) C theta."""
-        outputs = np.empty(self.samples.outputs.shape)
-        for number, (channel, order, support) in enumerate(zip(self.channels, self.order, self.support, strict=True)):
-            outputs[order, number] = theta[support] @ channel.columns
-        return outputs
+        parts = np.split(theta, np.cumsum([block.shape[2] for block in self.blocks])[:-1])
+        return sum((predicted(block, part) for block, part in zip(self.blocks, parts, strict=True)),
+                   np.zeros(self.samples.outputs.shape))
 
     @cached_property
     def at_prior(self) -> Array:
@@ -209,8 +177,8 @@ class Fit:
     def factor(self) -> tuple[Array, bool]:
         """Cholesky factor of the regularised normal matrix."""
         normal = np.diag(self.prior_deviation ** -2.0)
-        for channel, support, scale in zip(self.channels, self.support, self.scale, strict=True):
-            normal[np.ix_(support, support)] += channel.gram / scale**2
+        for gram, support, scale in zip(self.grams, self.support, self.scale, strict=True):
+            normal[np.ix_(support, support)] += gram / scale**2
         return cho_factor(normal)  # type: ignore[no-any-return]
 
     @property
@@ -353,7 +321,7 @@ def refitted(fit: Fit, effects: Sequence[Effect], nuisance: Array | None, counte
     if _correcting(effects) == _correcting(fit.effects):
         other.__dict__['corrected'] = fit.corrected
     if counted is fit.counted:
-        other.__dict__.update(in_use=fit.in_use, order=fit.order)
+        other.__dict__['in_use'] = fit.in_use
     return reweighted(other, fit.scale)
 
 

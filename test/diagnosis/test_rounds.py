@@ -190,10 +190,10 @@ def test_a_round_that_is_over_keeps_none_of_what_its_models_and_trials_computed(
     steps = search(starting_fit(body, samples, (), np.ones(600, dtype=bool)), kinds('effort'))
     assert len(steps) > 0
     for step in steps:
-        assert not {'blocks', 'channels', 'corrected', 'asked'} & vars(step.before).keys()
+        assert not {'blocks', 'rows', 'corrected', 'asked'} & vars(step.before).keys()
         assert all(trial.residual is None for trial in step.ranking)
     others = [one for one in gc.get_objects() if isinstance(one, Fit) and one is not steps[-1].after]
-    assert not [one for one in others if one.body is body and one.samples is samples and 'channels' in vars(one)]
+    assert not [one for one in others if one.body is body and one.samples is samples and 'rows' in vars(one)]
 
 
 @pytest.mark.parametrize('text', [

@@ -178,14 +178,15 @@ def block_gains(before: Fit, after: Fit, times_s: Collection[float] = ()) -> Arr
     if moving != others:
         before, after = before.sliding, after.sliding
     edges, repeated = block_edges(before, times_s), repetition(after)
-    gains = [_densities(after, edges, repeated, taken) - _densities(before, edges, repeated, taken)
-             for taken in _views(before)]
-    return min(gains, key=np.sum)
+    views = zip(_views(after), _views(before), strict=True)
+    return min((_densities(after, edges, repeated, ours) - _densities(before, edges, repeated, theirs)
+                for ours, theirs in views), key=np.sum)
 
 
-def _views(fit: Fit) -> tuple[bool, ...]:
-    """Whether columns for errors of the inputs are taken: with and without them, where the model has such."""
-    return (True,) if fit.nuisance is None else (True, False)
+def _views(fit: Fit) -> list[Indices]:
+    """Columns to leave out: none, and those for errors of the inputs where the model has such."""
+    none, errors = np.zeros(0, dtype=int), 0 if fit.nuisance is None else fit.nuisance.shape[2]
+    return [none, fit.n_columns - 1 - np.arange(errors)][:1 + bool(errors)]
 
 
 def repetition(fit: Fit) -> Array:
@@ -196,12 +197,9 @@ def repetition(fit: Fit) -> Array:
     return np.asarray(fit.correlation * (1.0 + independent / fit.config.coarseness))
 
 
-def _densities(fit: Fit, edges: Array, correlation: Array, nuisance: bool = True,
-               without: Indices | None = None) -> Array:
-    """(B,) of a model, perhaps without its columns for errors of the inputs, or without some other columns."""
-    grams, gone = grams_of(fit, edges), np.zeros(0, dtype=int) if without is None else without
-    if fit.nuisance is not None and not nuisance:
-        gone = np.append(gone, fit.n_columns - 1 - np.arange(fit.nuisance.shape[2]))
+def _densities(fit: Fit, edges: Array, correlation: Array, gone: Indices) -> Array:
+    """(B,) of a model without some of its columns."""
+    grams = grams_of(fit, edges)
     if not len(gone):
         return grams.densities(fit.scale, correlation)
     kept = np.setdiff1d(np.arange(len(grams.prior)), gone)
@@ -229,9 +227,9 @@ def worth(fit: Fit) -> list[Gain]:
 def _worth(fit: Fit) -> list[Gain]:
     edges, repeated, gains = block_edges(fit), repetition(fit), []
     views = _views(fit)
-    whole = [_densities(fit, edges, repeated, taken) for taken in views]
+    whole = [_densities(fit, edges, repeated, gone) for gone in views]
     for columns in columns_of_effects(fit):
-        without = [_densities(fit, edges, repeated, taken, columns) for taken in views]
+        without = [_densities(fit, edges, repeated, np.append(columns, gone)) for gone in views]
         gains.append(summed(min((one - other for one, other in zip(whole, without, strict=True)), key=np.sum)))
     return gains
 
