@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import replace
-from itertools import chain
 from typing import NamedTuple
 
 from semiparam_ros.diagnosis.data.recordings import breaks_s
@@ -49,21 +48,16 @@ def _plausible_moves(fit: Fit, after: Fit, added: Sequence[Effect], kinds: Colle
 
 def single_moves(fit: Fit, ranking: Sequence[Trial], kinds: Collection[str]) -> list[Move]:
     """Each of the foremost trials by itself, with each of its times."""
-    moves = list[Move]()
-    foremost = [trial for trial in ranking[:fit.config.tried] if trial.evidence > 0.0]
-    for trial in chain.from_iterable(_at_each_time(fit, trial) for trial in foremost):
-        moves += _plausible_moves(fit, declare(fit, [trial.effect]), [trial.effect], kinds)
-    return moves
+    foremost = [trial.effect for trial in ranking[:fit.config.tried] if trial.evidence > 0.0]
+    return [move for effect in foremost for timed in _at_each_time(fit, effect)
+            for move in _plausible_moves(fit, declare(fit, [timed]), [timed], kinds)]
 
 
-def _at_each_time(fit: Fit, trial: Trial) -> list[Trial]:
-    """The trial, and the same effect always, from a start on, until an end and between both, where it may be so."""
-    effect = trial.effect
-    if not effect.changes:
-        return [trial]
-    columns = added_columns(fit, effect.without_span())
-    spans = [span for span in best_spans(fit, effect, columns) if span.values.keys() != effect.span.values.keys()]
-    return [trial, *(replace(trial, effect=replace(effect, span=span)) for span in spans)]
+def _at_each_time(fit: Fit, effect: Effect) -> list[Effect]:
+    """The effect, and the same always, from a start on, until an end and between both, where it may be so."""
+    spans = best_spans(fit, effect, added_columns(fit, effect.without_span())) if effect.changes else []
+    return [effect, *(replace(effect, span=span) for span in spans
+                      if span.values.keys() != effect.span.values.keys())]
 
 
 def repeated_moves(fit: Fit, ranking: Sequence[Trial], kinds: dict[str, type[Effect]]) -> list[Move]:
@@ -140,16 +134,13 @@ def simplest(moves: Sequence[Move]) -> Move:
     best = max(moves, key=lambda move: move.net)
     alike = [move for move in moves if len(move.added) == 1 == len(best.added)
              and (move is best or _alike(move, best))]
-    return min(alike, key=lambda move: (_spent(move), move.added[0].ends, -move.net)) if alike else best
+    return min(alike, key=lambda move: (sum(values_of(effect, move.after) for effect in move.after.effects),
+                                        move.added[0].ends, -move.net)) if alike else best
 
 
 def _alike(one: Move, other: Move) -> bool:
     difference = gain(one.after, other.after)
     return difference.total < difference.error
-
-
-def _spent(move: Move) -> int:
-    return sum(values_of(effect, move.after) for effect in move.after.effects)
 
 
 def values_of(effect: Effect, fit: Fit) -> int:

@@ -14,7 +14,8 @@ from semiparam_ros.diagnosis.search.scoring import coarse_trial, line_searched
 
 
 def bent(fit: Fit, places: Collection[Place], kinds: Collection[str]) -> Fit:
-    """The model with the nonlinear values of the effects at some places at their best, beside all others.
+    """The model with the nonlinear values of the effects at some places at their best, beside all others, where that
+    helps on unseen blocks.
 
     Values of a form that are left as they usually are open where that gains more than they are worth as guesses.
     """
@@ -27,7 +28,7 @@ def bent(fit: Fit, places: Collection[Place], kinds: Collection[str]) -> Fit:
     if opened:
         price_of_guesses = len(opened) * math.log(max(len(kinds), 1))
         tried.append((settled(_opened(fit, opened), numbers), price_of_guesses))
-    options = [(0.0, fit), *((gain(fit, after).total - spent, after) for after, spent in tried
+    options = [(fit.config.settled_gain, fit), *((gain(fit, after).total - spent, after) for after, spent in tried
                              if all_plausible(fit, after))]
     return max(options, key=lambda option: option[0])[1]
 
@@ -46,11 +47,8 @@ def _opened(fit: Fit, numbers: Collection[int]) -> Fit:
 
 
 def reshaped(fit: Fit, fixed: Collection[Place], kinds: Collection[str]) -> Fit:
-    """The model with the nonlinear values of all effects that were found at their best together, where that helps on
-    unseen blocks."""
-    after = bent(fit, [identity(effect) for effect in fit.effects if identity(effect) not in fixed], kinds)
-    better = after is not fit and gain(fit, after).total > fit.config.settled_gain
-    return after if better else fit
+    """:func:`bent` of all effects that were found."""
+    return bent(fit, [identity(effect) for effect in fit.effects if identity(effect) not in fixed], kinds)
 
 
 def formed_anew(fit: Fit, fixed: Collection[Place]) -> Fit:
