@@ -186,12 +186,10 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
     effects = [effect.in_recording(samples.origin) for effect in effects] + own_offsets(body, samples)
     suspected = [problem for part in samples.recordings
                  for problem in setup_problems(body, alone(samples, part) if samples.breaks else samples, config)]
-    start = _first_model(body, samples, effects, _may_fit(samples, train_mask, other is not None, config), config)
-    require_enough(config, start.held_out if other is None else start.fitting)
+    start = _first_model(body, samples, effects, train_mask, other, config)
     steps, setup, imitated = _searched(start, considered(body, only), suspected, progress, bool(only))
-    recorded, elsewhere = _judging(start, samples, other)
     *models, final = [start.first, *(step.after for step in steps)]
-    before, *by_step = (_judged(fit, start, elsewhere) for fit in (*models, final))
+    before, *by_step = (_judged(fit, start) for fit in (*models, final))
     progress('what is left', 0.0)
     structure, fast = (None, []) if setup else _left(final, samples, start)
     everything, told = _told(final, steps, samples, start, other is None)
@@ -203,45 +201,43 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
         config=config, verdict=verdict(start.first, final, structure, imitated or bool(setup)), imitated=imitated,
         findings=found, steps=steps, first=start.first, final=final, everything=everything, estimates=told,
         held_out=start.held_out, before=before, by_step=by_step, inputs=start.inputs, structure=structure, setup=setup,
-        notes=[*fast, *notes], recorded=recorded, elsewhere=elsewhere, names=names, contacts=touches)
+        notes=[*fast, *notes], recorded=start.recorded, elsewhere=start.elsewhere, names=names, contacts=touches)
 
 
 class _Start(NamedTuple):
-    """The declared model and how it was fitted: the inputs, recorded samples (N,) that are clean and that may fit, and
-    working samples (M,) that fit and that judge."""
+    """The declared model and how it was fitted: the inputs, which recorded samples (N,) are clean, which working
+    samples (M,) fit and judge, and the recordings that do."""
 
     first: Fit
     inputs: Inputs
     clean: Mask
-    may_fit: Mask
     fitting: Mask
     held_out: Mask
+    recorded: Recorded
+    elsewhere: Elsewhere | None
 
 
-def _first_model(body: RigidBody, samples: Samples, effects: Sequence[Effect], may_fit: Mask,
-                 config: DiagnosisConfig) -> _Start:
+def _first_model(body: RigidBody, samples: Samples, effects: Sequence[Effect], train_mask: Mask | None,
+                 other: tuple[str, Samples] | None, config: DiagnosisConfig) -> _Start:
+    may_fit = train_mask
+    if may_fit is None:
+        may_fit = np.ones(len(samples), dtype=bool) if other else interleaved_split(len(samples), config)
     clean = ~excluded(samples, config) & ~beside_breaks(samples, margin(samples, config))
     inputs, chosen, valid, counted = prepared(body, samples, effects, may_fit, config, clean=clean)
     fitting, held_out = valid & inputs.mask(may_fit), valid & ~inputs.mask(may_fit)
-    require_enough(config, fitting)
+    require_enough(config, fitting, held_out if other is None else fitting)
     first = starting_fit(body, chosen, effects, fitting, config, counted)
     unvalued = [effect for effect in first.effects if effect.is_calibration and not effect.parameters]
-    return _Start(calibrated(first, unvalued), inputs, clean, may_fit, fitting, held_out)
+    recorded, elsewhere = Recorded(samples, clean & may_fit, samples, clean & ~may_fit), None
+    if other is not None:
+        recorded = Recorded(samples, clean & may_fit, other[1], ~excluded(other[1], config))
+        elsewhere = Elsewhere(other[0], inputs.prepare(other[1]), inputs.mask(recorded.valid))
+    return _Start(calibrated(first, unvalued), inputs, clean, fitting, held_out, recorded, elsewhere)
 
 
-def _judging(start: _Start, samples: Samples, other: tuple[str, Samples] | None) -> tuple[Recorded, Elsewhere | None]:
-    """What fits and what judges, and the other recording if there is one."""
-    fitting, config = start.clean & start.may_fit, start.first.config
-    if other is None:
-        return Recorded(samples, fitting, samples, start.clean & ~start.may_fit), None
-    recorded = Recorded(samples, fitting, other[1], ~excluded(other[1], config))
-    return recorded, Elsewhere(other[0], start.inputs.prepare(other[1]), start.inputs.mask(recorded.valid))
-
-
-def _judged(fit: Fit, start: _Start, elsewhere: Elsewhere | None) -> Evaluation:
-    if elsewhere is None:
-        return evaluate_here(fit, start.held_out)
-    return evaluate_there(fit, elsewhere.samples, elsewhere.valid)
+def _judged(fit: Fit, start: _Start) -> Evaluation:
+    there = start.elsewhere
+    return evaluate_there(fit, there.samples, there.valid) if there else evaluate_here(fit, start.held_out)
 
 
 def _left(final: Fit, samples: Samples, start: _Start) -> tuple[Structure, list[str]]:
@@ -318,12 +314,6 @@ def considered(body: RigidBody, only: Sequence[str] = ()) -> dict[str, type[Effe
         raise SemiparamError(f"effect kind '{unknown[0]}' does not act on {body.outputs}; expected some of "
                              f'{", ".join(known)}.')
     return {name: kind for name, kind in known.items() if not only or name in only}
-
-
-def _may_fit(samples: Samples, train_mask: Mask | None, judged_elsewhere: bool, config: DiagnosisConfig) -> Mask:
-    if train_mask is not None:
-        return train_mask
-    return np.ones(len(samples), dtype=bool) if judged_elsewhere else interleaved_split(len(samples), config)
 
 
 def verdict(first: Fit, final: Fit, structure: Structure | None, unexplained: bool) -> str:

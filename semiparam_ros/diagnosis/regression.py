@@ -76,13 +76,6 @@ class Explained:
         return left
 
 
-class CoefficientPrior(NamedTuple):
-    """What is known of the coefficients of further columns beforehand: (c,) mean and precision, in scaled units."""
-
-    mean: Array
-    precision: Array
-
-
 @dataclass(frozen=True, eq=False)
 class Fit:
     """The declared model fitted to the samples where ``train_mask`` is true.
@@ -234,8 +227,11 @@ class Fit:
         power = (self.used(self.samples.outputs) ** 2).sum(axis=0)
         return residual_scale(*(np.sqrt(each / self.counts)[None] for each in (squares, power)))
 
-    def explain(self, columns: Array, prior: CoefficientPrior | None = None) -> Explained:
-        """Regress the residual on columns (N, n, c), the declared ones refitted along."""
+    def explain(self, columns: Array, prior: tuple[Array, Array] | None = None) -> Explained:
+        """Regress the residual on columns (N, n, c), the declared ones refitted along.
+
+        :param prior: (c,) means and precisions of the coefficients beforehand, in scaled units.
+        """
         products = self._products(columns)
         coefficients, _, rank, cross, right = self._regressed(products, columns.shape[2], prior)
         loss = self.loss - float(right @ coefficients)
@@ -258,7 +254,7 @@ class Fit:
         return products
 
     def _regressed(self, products: list[Products], count: int,
-                   prior: CoefficientPrior | None = None) -> tuple[Array, Array, int, Array, Array]:
+                   prior: tuple[Array, Array] | None = None) -> tuple[Array, Array, int, Array, Array]:
         """Coefficients (c,), their covariance, rank, the refit (p, c) of the declared columns, and the right side."""
         inner, right = np.zeros((count, count)), np.zeros(count)
         shared = np.zeros((self.n_columns, count))
@@ -268,7 +264,7 @@ class Fit:
             right[each.acting] += weight * each.right
             shared[np.ix_(self.support[each.channel], each.acting)] += weight * each.shared
         if prior is not None:
-            inner, right = inner + np.diag(prior.precision), right + prior.precision * prior.mean
+            inner, right = inner + np.diag(prior[1]), right + prior[1] * prior[0]
         cross = cho_solve(self.factor, shared)
         power = np.diag(inner).copy()
         solved = _solve(inner - shared.T @ cross, right, power, self.config.negligible)

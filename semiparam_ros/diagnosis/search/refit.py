@@ -15,14 +15,7 @@ import numpy as np
 
 from semiparam_ros.core.types import Array, Mask
 from semiparam_ros.diagnosis.data.recordings import breaks_s
-from semiparam_ros.diagnosis.regression import (
-    CoefficientPrior,
-    Fit,
-    predicted,
-    refit_weights,
-    refitted,
-    with_effects,
-)
+from semiparam_ros.diagnosis.regression import Fit, predicted, refit_weights, refitted, with_effects
 from semiparam_ros.diagnosis.search.candidates import added_columns, held, identity
 from semiparam_ros.diagnosis.search.spans import around, with_best_edge
 from semiparam_ros.effects import Effect
@@ -114,16 +107,16 @@ def settled(fit: Fit, found: Collection[int]) -> Fit:
 def objective(fit: Fit) -> float:
     """Twice the negative log posterior of a model's calibrations, but for a constant: what it leaves, and how far they
     are from nothing."""
-    prior = prior_of_steps(fit, [effect for effect in fit.effects if effect.is_calibration])
-    return fit.loss + float(prior.precision @ prior.mean**2)
+    mean, precision = prior_of_steps(fit, [effect for effect in fit.effects if effect.is_calibration])
+    return fit.loss + float(precision @ mean**2)
 
 
-def prior_of_steps(fit: Fit, moving: Sequence[Effect], free: int = 0) -> CoefficientPrior:
-    """That of further changes of ``free`` values of which nothing is known, and of calibrations, which are about zero
-    beforehand. Neighbouring samples repeat each other, so it weighs as much more."""
+def prior_of_steps(fit: Fit, moving: Sequence[Effect], free: int = 0) -> tuple[Array, Array]:
+    """Means and precisions of further changes of ``free`` values of which nothing is known, and of calibrations, which
+    are about zero beforehand. Neighbouring samples repeat each other, so these weigh as much more."""
     values = np.concatenate([np.zeros(free), *(calibrated_values(effect) for effect in moving)])
     spread = np.concatenate([np.full(free, np.inf), *(effect.calibration_scale(fit.body) for effect in moving)])
-    return CoefficientPrior(-values, float(fit.correlation.mean()) * spread**-2.0)
+    return -values, float(fit.correlation.mean()) * spread**-2.0
 
 
 def _moved(fit: Fit, shapes: Sequence[Shape], calibrations: Sequence[Effect], steps: Array) -> Fit:
