@@ -270,7 +270,7 @@ def _over(fit: Fit, effect: Effect, since_s: tuple[float, float]) -> Move:
 
 def _price(effect: Effect, fit: Fit) -> float:
     """[nat] minus the log of its prior probability: a load may have come or gone at any time near;
-    the rest is as unlikely as a diagnosis takes it to be (``search.prior_odds``)."""
+    the rest is as unlikely as a diagnosis takes it to be (``search.plausibility``)."""
     times = math.log(fit.config.start_grid) * len(effect.span.values)
     if effect.is_body:
         return times

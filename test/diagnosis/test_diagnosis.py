@@ -22,7 +22,7 @@ from semiparam_ros.diagnosis.evaluation import evaluate_here, evaluate_there
 from semiparam_ros.diagnosis.findings import Quantity
 from semiparam_ros.diagnosis.regression import fit_model
 from semiparam_ros.diagnosis.residual.noise import noise_floor
-from semiparam_ros.diagnosis.search.candidates import Candidate, added_columns
+from semiparam_ros.diagnosis.search.candidates import added_columns
 from semiparam_ros.diagnosis.search.refit import declare
 from semiparam_ros.diagnosis.search.revision import pruned
 from semiparam_ros.diagnosis.search.scoring import Trial, coarse_trial, score, worth_refining
@@ -305,10 +305,9 @@ def test_effects_of_one_diagnosis_share_one_reference_model():
     samples = replace(motion, outputs=exact + (1.0 + np.abs(exact)) * np.tanh(motion.velocity / 0.1))
     use, first = np.ones(len(samples), dtype=bool), body.joints[0]
     fit = fit_model(body, samples, [], use, np.ones(body.n_outputs))
-    slow = ({'turn_speed': 0.1},)
 
     def tried(fit, kind, joint):
-        return coarse_trial(fit, Candidate(kinds()[kind], joint, slow)).effect
+        return coarse_trial(fit, kinds()[kind], joint).effect
 
     rubbing = tried(fit, 'load_friction', first)
     assert rubbing.reference == tuple(fit.rigid_part)

@@ -154,8 +154,8 @@ def test_what_a_model_holds_as_a_part_is_no_candidate():
     asymmetric = kinds()['asymmetric_friction']('turn', {'turn_speed': 0.01})
     assert held([asymmetric]) == {(kind, 'turn') for kind in (
         'asymmetric_friction', 'coulomb_friction', 'viscous_friction')}
-    tried = {(candidate.kind.kind, candidate.where)
-             for candidate in candidates(fit_model(BODY, samples, [asymmetric], use, scale), kinds('effort'))}
+    tried = {(kind.kind, where)
+             for kind, where in candidates(fit_model(BODY, samples, [asymmetric], use, scale), kinds('effort'))}
     assert not tried & held([asymmetric]) and ('coulomb_friction', 'grip') in tried
 
 

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -13,7 +12,6 @@ from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array
 from semiparam_ros.diagnosis.regression import Fit, predicted
 from semiparam_ros.effects import Effect
-from semiparam_ros.effects.base import Values
 
 DERIVATIVE_STEP = 1e-3
 """Half the difference [rad, s or 1] that stands for a derivative: dry friction that turns over between two samples is
@@ -22,25 +20,11 @@ Place = tuple[str, str | None, float | None]
 """Kind and place of an effect, and when it began where several may come one after the other, as loads do."""
 
 
-@dataclass(frozen=True)
-class Candidate:
-    """An effect at one place, with the coarse values of its nonlinear parameters and its options to try."""
-
-    kind: type[Effect]
-    where: str | None
-    searches: tuple[Values, ...]
-
-
-def candidates(fit: Fit, kinds: dict[str, type[Effect]]) -> Iterator[Candidate]:
+def candidates(fit: Fit, kinds: dict[str, type[Effect]]) -> list[tuple[type[Effect], str | None]]:
     """Every kind at every place of the robot, without those that are declared already and cannot come twice."""
-    body, samples = fit.body, fit.samples
     declared = held(fit.effects)
-    for name, kind in kinds.items():
-        for where in kind.places(body):
-            if (name, where) not in declared:
-                searches = kind.searches(body, samples, where, fit.residual)
-                if searches:  # else nothing was recorded that it depends on
-                    yield Candidate(kind, where, tuple(dict(values) for values in searches))
+    return [(kind, where) for name, kind in kinds.items() for where in kind.places(fit.body)
+            if (name, where) not in declared]
 
 
 def identity(effect: Effect) -> Place:

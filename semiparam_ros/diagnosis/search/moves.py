@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from semiparam_ros.diagnosis.data.recordings import breaks_s
 from semiparam_ros.diagnosis.regression import Fit, with_effects
-from semiparam_ros.diagnosis.search.candidates import Candidate, Place, added_columns, identity, others
+from semiparam_ros.diagnosis.search.candidates import Place, added_columns, identity, others
 from semiparam_ros.diagnosis.search.plausibility import all_plausible, prices, without_impossible
 from semiparam_ros.diagnosis.search.refit import declare
 from semiparam_ros.diagnosis.search.revision import formed_anew, pruned, reshaped
@@ -68,8 +68,7 @@ def repeated_moves(fit: Fit, ranking: Sequence[Trial], kinds: dict[str, type[Eff
                 and identity(trial.effect) not in known}
     for trial in foremost.values():
         once, where = declare(fit, [trial.effect]), trial.effect.where
-        searches = tuple(type(trial.effect).searches(fit.body, fit.samples, where, once.residual))
-        again = coarse_trial(once, Candidate(type(trial.effect), where, searches))
+        again = coarse_trial(once, type(trial.effect), where)
         if again is not None and identity(again.effect) not in {*known, identity(trial.effect)}:
             moves += _plausible_moves(fit, declare(once, [again.effect]), [trial.effect, again.effect], kinds)
     return moves

@@ -6,7 +6,7 @@ import math
 from collections.abc import Collection
 
 from semiparam_ros.diagnosis.regression import Fit, with_effects
-from semiparam_ros.diagnosis.search.candidates import Candidate, Place, identity, others
+from semiparam_ros.diagnosis.search.candidates import Place, identity, others
 from semiparam_ros.diagnosis.search.plausibility import all_plausible, price, usual
 from semiparam_ros.diagnosis.search.refit import declare, following, settled
 from semiparam_ros.diagnosis.search.score import gain, worth
@@ -55,13 +55,10 @@ def formed_anew(fit: Fit, fixed: Collection[Place]) -> Fit:
     """The model with each effect that was found at the best of its coarse forms beside all the others."""
     after = fit
     for effect in fit.effects:
-        searches = tuple(dict(values) for values in effect.searches(
-            fit.body, fit.samples, effect.where, fit.residual))
-        if identity(effect) in fixed or effect.is_calibration or len(searches) < 2 \
-                or effect.span.values or not effect.searched:
+        if identity(effect) in fixed or effect.is_calibration or effect.span.values or not effect.searched:
             continue
         without = with_effects(after, others(after, effect))
-        trial = coarse_trial(without, Candidate(type(effect), effect.where, searches))
+        trial = coarse_trial(without, type(effect), effect.where)
         if trial is not None:
             other = with_effects(without, [*without.effects, trial.effect])
             after = other if other.loss < after.loss else after

@@ -19,7 +19,7 @@ from semiparam_ros.core.robot.frames import links_beside, nearest_link
 from semiparam_ros.core.types import Array
 from semiparam_ros.diagnosis.data.splits import correlation_times
 from semiparam_ros.diagnosis.regression import Fit, reweighted, with_effects
-from semiparam_ros.diagnosis.search.candidates import Candidate, added_columns, identity
+from semiparam_ros.diagnosis.search.candidates import added_columns, identity
 from semiparam_ros.diagnosis.search.refit import gauss_newton
 from semiparam_ros.diagnosis.search.spans import best_spans
 from semiparam_ros.effects import Effect
@@ -52,12 +52,13 @@ class Trial:
         return len(self.effect.searched) > 1
 
 
-def coarse_trial(fit: Fit, candidate: Candidate) -> Trial | None:
-    """The candidate at the best of its coarse values and starts; None when none is physical."""
+def coarse_trial(fit: Fit, kind: type[Effect], where: str | None) -> Trial | None:
+    """An effect at the best of its coarse values and starts; None when none is physical, or nothing was recorded that
+    it depends on."""
     best: tuple[float, Effect, Array] | None = None
     reference = next((known.reference for known in fit.effects if known.reference), tuple(fit.rigid_part.tolist()))
-    for values in candidate.searches:
-        effect, columns = _started(fit, candidate.kind.from_values(candidate.where, values, reference))
+    for values in kind.searches(fit.body, fit.samples, where, fit.residual):
+        effect, columns = _started(fit, kind.from_values(where, values, reference))
         told = fit.explain(columns)
         if (effect.is_calibration or effect.physical(told.coefficients)) and (best is None or told.loss < best[0]):
             best = told.loss, effect, columns
@@ -208,12 +209,12 @@ def overlap(fit: Fit, one: Array, other: Array) -> float:
     return float(first @ second / (np.linalg.norm(first) * np.linalg.norm(second) + 1e-300))
 
 
-def coarse(fit: Fit, pool: Sequence[Candidate], report: Progress) -> list[Trial]:
+def coarse(fit: Fit, pool: Sequence[tuple[type[Effect], str | None]], report: Progress) -> list[Trial]:
     """Every candidate's best trial by evidence, coarse."""
     trials = []
-    for number, candidate in enumerate(pool):
-        report(candidate.kind.kind, number / len(pool))
-        trial = coarse_trial(fit, candidate)
+    for number, (kind, where) in enumerate(pool):
+        report(kind.kind, number / len(pool))
+        trial = coarse_trial(fit, kind, where)
         if trial is not None and trial.n_parameters:
             trials.append(trial)
     return _by_evidence(fit, trials) if trials else []

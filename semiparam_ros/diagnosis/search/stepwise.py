@@ -93,7 +93,7 @@ def _next_step(fit: Fit, kinds: dict[str, type[Effect]], fixed: Collection[Place
 
     :param late: tries what moves all inputs beside other forms of what is known; as where nothing else is good.
     """
-    trials = coarse(fit, list(candidates(fit, kinds)), report)
+    trials = coarse(fit, candidates(fit, kinds), report)
     ranking = refine_foremost(fit, trials)
     moves = [*single_moves(fit, ranking, kinds), *group_moves(fit, trials, fixed, kinds), *ending_moves(fit),
              *repeated_moves(fit, ranking, kinds)]
