@@ -6,8 +6,8 @@ import math
 from collections.abc import Collection
 
 from semiparam_ros.diagnosis.regression import Fit, with_effects
-from semiparam_ros.diagnosis.search.candidates import Place, identity, others
-from semiparam_ros.diagnosis.search.plausibility import all_plausible, price, usual
+from semiparam_ros.diagnosis.search.candidates import Place, held, identity, others
+from semiparam_ros.diagnosis.search.plausibility import all_plausible, price, prices, usual
 from semiparam_ros.diagnosis.search.refit import declare, following, settled
 from semiparam_ros.diagnosis.search.score import gain, worth
 from semiparam_ros.diagnosis.search.scoring import coarse_trial, line_searched
@@ -63,6 +63,20 @@ def formed_anew(fit: Fit, fixed: Collection[Place]) -> Fit:
             other = with_effects(without, [*without.effects, trial.effect])
             after = other if other.loss < after.loss else after
     return after
+
+
+def split(fit: Fit, places: Collection[Place], kinds: Collection[str]) -> Fit:
+    """The model with the plainer effects of which some at these places are made up, unless blocks tell them apart."""
+    for effect in fit.effects:
+        plainer = list(effect.plainer()) if identity(effect) in places else []
+        rest = with_effects(fit, others(fit, effect))
+        if not plainer or held(plainer) & held(rest.effects):
+            continue
+        simpler = declare(rest, plainer)
+        simpler = bent(simpler, [identity(part) for part in plainer], kinds)
+        if not gain(simpler, fit).exceeds(prices([effect], rest, kinds), fit.config.sure):
+            fit = simpler
+    return fit
 
 
 def pruned(fit: Fit, fixed: Collection[Place], kinds: Collection[str]) -> Fit:

@@ -25,7 +25,7 @@ from semiparam_ros.diagnosis.search.moves import (
     simplest,
     single_moves,
 )
-from semiparam_ros.diagnosis.search.revision import bent, pruned, reshaped
+from semiparam_ros.diagnosis.search.revision import bent, pruned, reshaped, split
 from semiparam_ros.diagnosis.search.score import block_gains
 from semiparam_ros.diagnosis.search.scoring import Progress, Trial, coarse, overlap, refine_foremost
 from semiparam_ros.effects import Effect
@@ -112,7 +112,8 @@ def _made(fit: Fit, best: Move, moves: Sequence[Move], ranking: Sequence[Trial],
           kinds: Collection[str]) -> Step | None:
     """The step that a move is, with what was added at its best and what it makes needless taken off."""
     added = [identity(effect) for effect in best.added]
-    after = pruned(bent(best.after, added, kinds), fixed, kinds)
+    after = bent(best.after, added, kinds)
+    after = pruned(split(after, added, kinds), fixed, kinds)
     before = {(identity(effect), effect.end_s) for effect in fit.effects}
     names = {identity(effect) for effect in after.effects}
     found = tuple(effect for effect in after.effects if (identity(effect), effect.end_s) not in before)
