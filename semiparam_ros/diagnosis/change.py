@@ -76,7 +76,8 @@ class NamedChange:
     def coefficients(self) -> tuple[Array, Array]:
         """(c,) values of the effect, and (c,) their standard deviations."""
         found = self.parameters.values()
-        return np.array([each.value for each in found]), np.array([each.std or 0.0 for each in found])
+        return (np.array([each.value for each in found]),
+                np.array([each.std or 0.0 for each in found]))
 
     def as_dict(self) -> dict[str, object]:
         """For a record."""
@@ -205,8 +206,8 @@ def _friction(body: RigidBody) -> list[Effect]:
     (``core.robot.joint_friction``)."""
     found: list[Effect] = []
     for joint in body.output_names if body.outputs == 'effort' else ():
-        found += [ViscousFriction(joint), EffortOffset(joint),
-                  *(CoulombFriction(joint, {'turn_speed': speed}) for speed in TURN_SPEEDS.tolist())]
+        found += [ViscousFriction(joint), EffortOffset(joint), *(
+            CoulombFriction(joint, {'turn_speed': speed}) for speed in TURN_SPEEDS.tolist())]
     return found
 
 

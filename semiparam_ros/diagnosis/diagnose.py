@@ -201,12 +201,13 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
         config=config, verdict=verdict(start.first, final, structure, imitated or bool(setup)), imitated=imitated,
         findings=found, steps=steps, first=start.first, final=final, everything=everything, estimates=told,
         held_out=start.held_out, before=before, by_step=by_step, inputs=start.inputs, structure=structure, setup=setup,
-        notes=[*fast, *notes], recorded=start.recorded, elsewhere=start.elsewhere, names=names, contacts=touches)
+        notes=[*fast, *notes], recorded=start.recorded, elsewhere=start.elsewhere, names=names,
+        contacts=touches)
 
 
 class _Start(NamedTuple):
-    """The declared model and how it was fitted: the inputs, which recorded samples (N,) are clean, which working
-    samples (M,) fit and judge, and the recordings that do."""
+    """The declared model and how it was fitted: the inputs, which recorded samples (N,) are clean,
+    which working samples (M,) fit and judge, and the recordings that do."""
 
     first: Fit
     inputs: Inputs
@@ -217,11 +218,12 @@ class _Start(NamedTuple):
     elsewhere: Elsewhere | None
 
 
-def _first_model(body: RigidBody, samples: Samples, effects: Sequence[Effect], train_mask: Mask | None,
-                 other: tuple[str, Samples] | None, config: DiagnosisConfig) -> _Start:
-    may_fit = train_mask
+def _first_model(body: RigidBody, samples: Samples, effects: Sequence[Effect],
+                 train_mask: Mask | None, other: tuple[str, Samples] | None,
+                 config: DiagnosisConfig) -> _Start:
+    may_fit, count = train_mask, len(samples)
     if may_fit is None:
-        may_fit = np.ones(len(samples), dtype=bool) if other else interleaved_split(len(samples), config)
+        may_fit = np.ones(count, dtype=bool) if other else interleaved_split(count, config)
     clean = ~excluded(samples, config) & ~beside_breaks(samples, margin(samples, config))
     inputs, chosen, valid, counted = prepared(body, samples, effects, may_fit, config, clean=clean)
     fitting, held_out = valid & inputs.mask(may_fit), valid & ~inputs.mask(may_fit)
@@ -232,12 +234,14 @@ def _first_model(body: RigidBody, samples: Samples, effects: Sequence[Effect], t
     if other is not None:
         recorded = Recorded(samples, clean & may_fit, other[1], ~excluded(other[1], config))
         elsewhere = Elsewhere(other[0], inputs.prepare(other[1]), inputs.mask(recorded.valid))
-    return _Start(calibrated(first, unvalued), inputs, clean, fitting, held_out, recorded, elsewhere)
+    return _Start(calibrated(first, unvalued), inputs, clean, fitting, held_out, recorded,
+                  elsewhere)
 
 
 def _judged(fit: Fit, start: _Start) -> Evaluation:
-    there = start.elsewhere
-    return evaluate_there(fit, there.samples, there.valid) if there else evaluate_here(fit, start.held_out)
+    if start.elsewhere is None:
+        return evaluate_here(fit, start.held_out)
+    return evaluate_there(fit, start.elsewhere.samples, start.elsewhere.valid)
 
 
 def _left(final: Fit, samples: Samples, start: _Start) -> tuple[Structure, list[str]]:
@@ -353,11 +357,12 @@ def _changed_in_gaps(found: list[Finding], samples: Samples, config: DiagnosisCo
 
 
 def function_explains_more(first: Fit, final: Fit) -> bool:
-    """Whether a smooth function of the motion and of time beside the first model predicts unseen blocks better than the
-    final model does.
+    """Whether a smooth function of the motion and of time beside the first model predicts unseen
+    blocks better than the final model does.
 
-    A cause of no listed kind resembles several listed ones a little, and a search adds one after the other. The laws of
-    causes that are there hold on unseen blocks, and leave less than such a function does.
+    A cause of no listed kind resembles several listed ones a little, and a search adds one after
+    the other. The laws of causes that are there hold on unseen blocks, and leave less than such a
+    function does.
     """
     config = final.config
     rows = samples_to_look_at(final.train_mask, config)

@@ -111,7 +111,8 @@ def evaluation_of(body: RigidBody, outputs: Array, residual: Array, valid: Mask,
     counted = counted | ~counted[valid].any(axis=0)  # of a joint that never moves there, everything is all there is
     ends = np.cumsum([high - low for low, high in ranges(valid)]).astype(int).tolist()
     parts = tuple(pairwise([0, *ends]))
-    return Evaluation(outputs[valid], residual[valid], counted[valid], parts, body.outputs == 'wrench', config)
+    return Evaluation(outputs[valid], residual[valid], counted[valid], parts,
+                      body.outputs == 'wrench', config)
 
 
 def evaluate_here(fit: Fit, held_out: Mask) -> Evaluation:

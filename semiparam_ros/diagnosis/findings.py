@@ -62,7 +62,7 @@ def findings(fit: Fit, steps: list[Step], everything: Fit, told: Estimates) -> l
 
 
 def places_in(fit: Fit, steps: list[Step]) -> list[tuple[int, int]]:
-    """Of every effect that a step added and the model still holds: its number there, and its round."""
+    """Of every effect that a step added and the model still holds: its number, and its round."""
     found: dict[int, int] = {}
     for number, step in enumerate(steps, start=1):
         for effect in step.added:

@@ -165,8 +165,8 @@ def best_inputs(body: RigidBody, samples: Samples, effects: Sequence[Effect], tr
 def prepared(body: RigidBody, samples: Samples, effects: Sequence[Effect], may_fit: Mask,
              config: DiagnosisConfig = DEFAULTS, inputs: Inputs | None = None,
              clean: Mask | None = None) -> tuple[Inputs, Samples, Mask, Mask]:
-    """How samples are prepared for a model with these effects, the working samples, which (M,) of them may be used, and
-    which of their outputs (M, n) tell something.
+    """How samples are prepared for a model with these effects, the working samples, which (M,) of
+    them may be used, and which of their outputs (M, n) tell something.
 
     :param may_fit: (N,) those that choose the motion. :param inputs: how to prepare them; chosen unless given.
     :param clean: (N,) those that may be used; all beside no gap and no shock unless given.
@@ -204,7 +204,8 @@ def too_fast(body: RigidBody, samples: Samples, inputs: Inputs, fit: Fit) -> lis
     if not share >= config.most:  # nor where they are not known
         return []
     rate = 1e9 / float(np.median(np.diff(raw.stamps)))
-    enough = next((times for times, fewer in zip(config.faster, shares, strict=True) if fewer < config.little), None)
+    enough = next((times for times, fewer in zip(config.faster, shares, strict=True)
+                   if fewer < config.little), None)
     worst = int((errors / np.maximum(spread, 1e-12)).argmax())
     remedy = f'record at {rate * enough:.0f} Hz, or measure them' if enough else 'measure them'
     return [f'The motion is too fast for {rate:.0f} Hz: accelerations cannot be had better than to '

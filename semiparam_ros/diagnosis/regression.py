@@ -22,7 +22,8 @@ from semiparam_ros.effects import Effect
 
 LARGE = ('corrected', 'blocks', 'in_use', 'rows', 'asked', 'sliding')
 """What a fit computes when it is asked for: far more than the rest of it, where samples are many."""
-OF_COLUMNS = ('assembly', 'prior_deviation', 'corrected', 'blocks', 'in_use', 'support', 'rows', 'grams', 'at_prior')
+OF_COLUMNS = ('assembly', 'prior_deviation', 'corrected', 'blocks', 'in_use', 'support', 'rows',
+              'grams', 'at_prior')
 """What neither its weights nor its outputs change."""
 ROUNDED = 1e-9
 """Share of the squares from which on a difference of their sums keeps enough digits."""
@@ -65,12 +66,13 @@ class Explained:
     @cached_property
     def squares(self) -> Array:
         """(n,) sum of squares that is left of the samples in use."""
-        fit, refit, left = self.fit, self.refit, self.fit.squares.copy()
-        for channel, support in enumerate(fit.support):
-            left[channel] += refit[support] @ (fit.grams[channel] @ refit[support] - 2.0 * fit.moments[channel])
+        fit, left = self.fit, self.fit.squares.copy()
+        refit = [self.refit[support] for support in fit.support]
+        for channel, (gram, moment) in enumerate(zip(fit.grams, fit.moments, strict=True)):
+            left[channel] += refit[channel] @ (gram @ refit[channel] - 2.0 * moment)
         for channel, acting, inner, right, shared in self.products:
             own = self.coefficients[acting]
-            left[channel] += own @ (inner @ own + 2.0 * (shared.T @ refit[fit.support[channel]] - right))
+            left[channel] += own @ (inner @ own + 2.0 * (shared.T @ refit[channel] - right))
         if (left < ROUNDED * fit.squares).any():  # too small a difference of large sums
             return np.asarray((fit.used(self.residual) ** 2).sum(axis=0))
         return left
@@ -129,9 +131,10 @@ class Fit:
 
     @cached_property
     def support(self) -> list[Indices]:
-        """(p_k,) of each channel k the numbers of the columns that are not zero there: a joint feels few bodies of a
-        robot with limbs, and nothing of what rubs in other joints."""
-        return [np.flatnonzero(acts) for acts in np.hstack([block.any(axis=0) for block in self.blocks])]
+        """(p_k,) of each channel k the numbers of the columns that are not zero there: a joint feels
+        few bodies of a robot with limbs, and nothing of what rubs in other joints."""
+        acts = np.hstack([block.any(axis=0) for block in self.blocks])
+        return [np.flatnonzero(channel) for channel in acts]
 
     @cached_property
     def rows(self) -> list[Array]:
@@ -140,8 +143,9 @@ class Fit:
         found = []
         for channel, (used, support) in enumerate(zip(self.in_use, self.support, strict=True)):
             rows = np.empty((len(support), len(used)))
-            for row, (block, column) in zip(rows, [columns[number] for number in support], strict=True):
-                np.take(block[:, channel, column], used, out=row, mode='clip')  # 'raise' would buffer
+            for row, number in zip(rows, support.tolist(), strict=True):
+                block, column = columns[number]
+                np.take(block[:, channel, column], used, out=row, mode='clip')  # no buffer
             found.append(rows.T)
         return found
 
@@ -152,7 +156,7 @@ class Fit:
 
     @cached_property
     def asked(self) -> dict[object, Any]:
-        """Derivatives of the prediction and sums of blocks that were asked for, by what they are of."""
+        """Derivatives of the prediction and sums of blocks that were asked for, by what of."""
         return {}
 
     def predicted(self, theta: Array) -> Array:
@@ -219,11 +223,11 @@ class Fit:
             self.__dict__.pop(name, None)
 
     def used(self, values: Array) -> Array:
-        """(M, n) of values (N, n) those of the samples in use, zero where an output does not count."""
+        """(M, n) of values (N, n) those of samples in use, zero where an output does not count."""
         return np.asarray(values[self.train_mask] * self.counted[self.train_mask])
 
     def scale_of(self, squares: Array) -> Array:
-        """(n,) root mean square of a residual of which the outputs in use have these sums of squares (n,)."""
+        """(n,) root mean square of a residual, from its sums of squares (n,) over outputs in use."""
         power = (self.used(self.samples.outputs) ** 2).sum(axis=0)
         return residual_scale(*(np.sqrt(each / self.counts)[None] for each in (squares, power)))
 
@@ -253,8 +257,9 @@ class Fit:
                                          rows.T @ used))
         return products
 
-    def _regressed(self, products: list[Products], count: int,
-                   prior: tuple[Array, Array] | None = None) -> tuple[Array, Array, int, Array, Array]:
+    def _regressed(
+            self, products: list[Products], count: int, prior: tuple[Array, Array] | None = None,
+    ) -> tuple[Array, Array, int, Array, Array]:
         """Coefficients (c,), their covariance, rank, the refit (p, c) of the declared columns, and the right side."""
         inner, right = np.zeros((count, count)), np.zeros(count)
         shared = np.zeros((self.n_columns, count))
@@ -338,8 +343,8 @@ def reweighted(fit: Fit, scale: Array) -> Fit:
     for support, moment, each in zip(start.support, start.moments, scale, strict=True):
         right[support] += moment / each**2
     change = cho_solve(start.factor, right)
-    return _with_values(start, start.theta + change, start.residual - start.predicted(change), scale,
-                        (*OF_COLUMNS, 'factor'))
+    residual = start.residual - start.predicted(change)
+    return _with_values(start, start.theta + change, residual, scale, (*OF_COLUMNS, 'factor'))
 
 
 def refit_weights(first: Fit) -> Fit:

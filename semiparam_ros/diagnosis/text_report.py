@@ -32,17 +32,20 @@ def text_report(diagnosis: Diagnosis) -> list[str]:
     lines = _verdict(diagnosis)
     for finding in diagnosis.findings:
         effect = finding.effect
-        lines.append(f'{place(effect.kind, effect.where)}: {effect.sentence}{when(diagnosis, effect)} '
-                     f'({_values(finding)}; log evidence +{finding.log_evidence_gain:.0f}).')
+        lines.append(f'{place(effect.kind, effect.where)}: {effect.sentence}'
+                     f'{when(diagnosis, effect)} ({_values(finding)}; '
+                     f'log evidence +{finding.log_evidence_gain:.0f}).')
         doubt = effect.doubt(diagnosis.final.body, diagnosis.final.samples)
         lines += [f'  {doubt}'] if doubt else []
         lines += _rivals(finding, diagnosis.config.better_odds)
-    lines += [f'Declared: {place(each.effect.kind, each.effect.where)}{when(diagnosis, each.effect)} ({_values(each)}).'
-              for each in diagnosis.declared]
+    lines += [f'Declared: {place(each.effect.kind, each.effect.where)}'
+              f'{when(diagnosis, each.effect)} ({_values(each)}).' for each in diagnosis.declared]
     lines += [ONE_FREEDOM] if diagnosis.gain_and_mass_are_one else []
-    dropped = [place(effect.kind, effect.where) for step in diagnosis.steps for effect in step.dropped]
+    dropped = [place(effect.kind, effect.where)
+               for step in diagnosis.steps for effect in step.dropped]
     if dropped:
-        lines.append(f'Tried first and dropped, because the effects above explain it better: {", ".join(dropped)}.')
+        lines.append('Tried first and dropped, because the effects above explain it better: '
+                     f'{", ".join(dropped)}.')
     if diagnosis.findings:
         lines.append(_gain(diagnosis))
     if diagnosis.structure is not None and diagnosis.structure.significant:
@@ -62,10 +65,11 @@ def summary(diagnosis: Diagnosis) -> list[str]:
 
 
 def _verdict(diagnosis: Diagnosis) -> list[str]:
-    """What is wrong with the set-up, else whether anything is missing, and outputs that stay a riddle, whatever was
-    found elsewhere."""
-    riddles = [f'{name} is not explained: {100 * left:.0f} % of its variance is left, of which noise is '
-               f'{100 * noise:.0f} %. Look at its sign, its unit, its place in the message, or for contact.'
+    """What is wrong with the set-up, else whether anything is missing, and outputs that stay a
+    riddle, whatever was found elsewhere."""
+    riddles = [f'{name} is not explained: {100 * left:.0f} % of its variance is left, of which '
+               f'noise is {100 * noise:.0f} %. Look at its sign, its unit, its place in the '
+               'message, or for contact.'
                for name, (left, noise) in diagnosis.unexplained_outputs.items()]
     return [problem.sentence for problem in diagnosis.setup] or [_opening(diagnosis), *riddles]
 

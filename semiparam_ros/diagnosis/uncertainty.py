@@ -93,8 +93,8 @@ def _further(fit: Fit, calibrated: Sequence[int], shapes: list[Shape]) -> list[A
 
 
 def _rows(fit: Fit, columns: Array) -> Iterator[tuple[int, Indices, Indices, Array]]:
-    """Each channel, its samples in use (M,), the columns of theta and further ones (N, n, c) that act there (a,), and
-    these over the channel's scale (M, a)."""
+    """Each channel, its samples in use (M,), the columns of theta and further ones (N, n, c) that
+    act there (a,), and these over the channel's scale (M, a)."""
     further = fit.n_columns + np.arange(columns.shape[2])
     for channel, (used, support, rows) in enumerate(zip(fit.in_use, fit.support, fit.rows, strict=True)):
         weighed = np.hstack([rows, columns[used, channel]]) / fit.scale[channel]

@@ -1,10 +1,12 @@
-"""Leaves out samples near gaps and shocks, and outputs of joints at rest, by rules that never look at the model.
+"""Leaves out samples near gaps and shocks, and outputs of joints at rest, by rules that never look at
+the model.
 
 A gap spoils every quantity that is differentiated across it. A shock (a collision, a protective stop, a corrupted
 reading) is a change between successive samples that the channel makes at no other time; what follows rings for a while.
 
-Static friction holds any effort up to its own, so the effort of a joint at rest tells nothing. Where a joint is slow or
-turns back, the form of its dry friction decides what its effort is; where it slides, dry friction is constant.
+Static friction holds any effort up to its own, so the effort of a joint at rest tells nothing. Where
+a joint is slow or turns back, the form of its dry friction decides what its effort is; where it
+slides, dry friction is constant.
 """
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
-"""Splits a recording into contiguous blocks, because neighbouring samples repeat each other, and says how many do."""
+"""Splits a recording into contiguous blocks, because neighbouring samples repeat each other, and says
+how many do."""
 
 from __future__ import annotations
 
@@ -40,7 +41,8 @@ def correlation_times(residual: Array, config: DiagnosisConfig = DEFAULTS) -> Ar
 
 def autocovariance(values: Array) -> Array:
     """(2 N,) sums of products of values (N,), less their mean, with those after them, by lag."""
-    return np.asarray(np.fft.irfft(np.abs(np.fft.rfft(values - values.mean(), 2 * len(values))) ** 2))
+    spectrum = np.fft.rfft(values - values.mean(), 2 * len(values))
+    return np.asarray(np.fft.irfft(np.abs(spectrum) ** 2))
 
 
 def _channel_time(values: Array, longest_share: float) -> float:

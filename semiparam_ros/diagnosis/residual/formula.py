@@ -1,5 +1,6 @@
-"""Which variables the structure in a residual depends on, by forward selection, and a sparse formula for one output
-channel, from named terms that the effect kind ``terms`` understands. Unseen blocks judge both."""
+"""Which variables the structure in a residual depends on, by forward selection, and a sparse formula
+for one output channel, from named terms that the effect kind ``terms`` understands. Unseen blocks
+judge both."""
 
 from __future__ import annotations
 
@@ -154,7 +155,8 @@ def find_formula(variables: Sequence[str], body: RigidBody, samples: Samples, va
 
     Orthogonal matching pursuit puts the terms in order; blocks left out of the fit say how many of them to keep.
     """
-    terms = {name: term_values(name, body, samples) for name in library(variables, body, samples, config)}
+    terms = {name: term_values(name, body, samples)
+             for name in library(variables, body, samples, config)}
     names = [name for name, each in terms.items() if each.std() > 1e-9]
     if not names:
         return None

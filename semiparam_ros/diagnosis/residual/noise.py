@@ -89,17 +89,19 @@ def resmoothed(samples: Samples, window: int, degree: int) -> Samples:
 
 
 def inertia_columns(body: RigidBody, samples: Samples, psi: Array) -> Array:
-    """(N, n, n_joints) what an acceleration of one would add to the outputs, with base parameters psi (p,)."""
+    """(N, n, n_joints) what an acceleration of one would add to the outputs, with base parameters
+    psi (p,)."""
     still, columns = body.outputs_of(samples, psi), []
     for joint in range(body.n_joints):
         moved = samples.acceleration.copy()
         moved[:, joint] += 1.0
-        columns.append(body.outputs_of(replace(samples, acceleration=moved), psi) - still)  # linear in it
+        columns.append(body.outputs_of(replace(samples, acceleration=moved), psi) - still)
     return np.stack(columns, axis=2)
 
 
 def with_error_columns(fit: Fit) -> Fit:
-    """The model with a column for each joint and each other smoothing: what that acceleration would change.
+    """The model with a column for each joint and each other smoothing: what that acceleration would
+    change.
 
     A smoother takes a little of the motion for noise and leaves some of the noise. Both errors
     reach the outputs through the inertia matrix, are of the size of sensor noise where a fast
@@ -115,7 +117,9 @@ def with_error_columns(fit: Fit) -> Fit:
 
 def without_error_columns(fit: Fit) -> Fit:
     """The same effects fitted to the motion as it is."""
-    return fit if fit.nuisance is None else refit_weights(refitted(fit, fit.effects, None, fit.counted))
+    if fit.nuisance is None:
+        return fit
+    return refit_weights(refitted(fit, fit.effects, None, fit.counted))
 
 
 def _differences(samples: Samples, config: DiagnosisConfig) -> Array:

@@ -50,7 +50,7 @@ def added_columns(fit: Fit, effect: Effect) -> Array:
 
 
 def _derivatives(fit: Fit, effect: Effect) -> Array:
-    """(N, n, c) central differences of the prediction by the calibrations, at their present values."""
+    """(N, n, c) central differences of the prediction by the calibrations, where they are."""
     rest = others(fit, effect)  # without what the effect has shaped already
     still = type(effect).correct is Effect.correct
     load = _shaped_load(fit, rest, *_corrected(fit, rest)) if still else None
@@ -71,8 +71,8 @@ def others(fit: Fit, effect: Effect) -> list[Effect]:
 
 
 def _prediction(fit: Fit, effects: list[Effect], whole: bool) -> Array:
-    """(N, n, 1) outputs of the rigid body and of what it carries, as the effects correct and shape it, or of the
-    whole model: late efforts bring late friction with them."""
+    """(N, n, 1) outputs of the rigid body and of what it carries, as the effects correct and shape
+    it, or of the whole model: late efforts bring late friction with them."""
     body, inputs = _corrected(fit, effects)
     load = _shaped_load(fit, effects, body, inputs)
     return load + _of_effects(fit, body, inputs, loads=False) if whole else load

@@ -54,8 +54,11 @@ def single_moves(fit: Fit, ranking: Sequence[Trial], kinds: Collection[str]) -> 
 
 
 def _at_each_time(fit: Fit, effect: Effect) -> list[Effect]:
-    """The effect, and the same always, from a start on, until an end and between both, where it may be so."""
-    spans = best_spans(fit, effect, added_columns(fit, effect.without_span())) if effect.changes else []
+    """The effect, and the same always, from a start on, until an end and between both, where it may
+    be so."""
+    if not effect.changes:
+        return [effect]
+    spans = best_spans(fit, effect, added_columns(fit, effect.without_span()))
     return [effect, *(replace(effect, span=span) for span in spans
                       if span.values.keys() != effect.span.values.keys())]
 
@@ -133,8 +136,9 @@ def simplest(moves: Sequence[Move]) -> Move:
     best = max(moves, key=lambda move: move.net)
     alike = [move for move in moves if len(move.added) == 1 == len(best.added)
              and (move is best or _alike(move, best))]
-    return min(alike, key=lambda move: (sum(values_of(effect, move.after) for effect in move.after.effects),
-                                        move.added[0].ends, -move.net)) if alike else best
+    return min(alike, key=lambda move: (
+        sum(values_of(effect, move.after) for effect in move.after.effects), move.added[0].ends,
+        -move.net)) if alike else best
 
 
 def _alike(one: Move, other: Move) -> bool:

@@ -1,5 +1,5 @@
-"""What is known of effects beforehand: the values that they can have, as positive masses and forces that this robot
-could bear, and what each costs, minus the log of its prior probability."""
+"""What is known of effects beforehand: the values that they can have, as positive masses and forces
+that this robot could bear, and what each costs, minus the log of its prior probability."""
 
 from __future__ import annotations
 

@@ -1,8 +1,9 @@
-"""The model with further effects: what is not linear settled by Gauss-Newton, loads named, weights its own.
+"""The model with further effects: what is not linear settled by Gauss-Newton, loads named, weights
+its own.
 
-After the judgement it is fitted once more to all samples, its times searched to the sample. What judges must not fit.
-But a time inside a block that was held out is known to that block only, and what is declared from then on should rest
-on everything that was recorded.
+After the judgement it is fitted once more to all samples, its times searched to the sample. What
+judges must not fit. But a time inside a block that was held out is known to that block only, and
+what is declared from then on should rest on everything that was recorded.
 """
 
 from __future__ import annotations
@@ -107,13 +108,15 @@ def settled(fit: Fit, found: Collection[int]) -> Fit:
 def objective(fit: Fit) -> float:
     """Twice the negative log posterior of a model's calibrations, but for a constant: what it leaves, and how far they
     are from nothing."""
-    mean, precision = prior_of_steps(fit, [effect for effect in fit.effects if effect.is_calibration])
+    calibrations = [effect for effect in fit.effects if effect.is_calibration]
+    mean, precision = prior_of_steps(fit, calibrations)
     return fit.loss + float(precision @ mean**2)
 
 
 def prior_of_steps(fit: Fit, moving: Sequence[Effect], free: int = 0) -> tuple[Array, Array]:
-    """Means and precisions of further changes of ``free`` values of which nothing is known, and of calibrations, which
-    are about zero beforehand. Neighbouring samples repeat each other, so these weigh as much more."""
+    """Means and precisions of further changes of ``free`` values of which nothing is known, and of
+    calibrations, which are about zero beforehand. Neighbouring samples repeat each other, so these
+    weigh as much more."""
     values = np.concatenate([np.zeros(free), *(calibrated_values(effect) for effect in moving)])
     spread = np.concatenate([np.full(free, np.inf), *(effect.calibration_scale(fit.body) for effect in moving)])
     return -values, float(fit.correlation.mean()) * spread**-2.0

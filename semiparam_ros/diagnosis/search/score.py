@@ -178,9 +178,9 @@ def block_gains(before: Fit, after: Fit, times_s: Collection[float] = ()) -> Arr
     if moving != others:
         before, after = before.sliding, after.sliding
     edges, repeated = block_edges(before, times_s), repetition(after)
-    views = zip(_views(after), _views(before), strict=True)
-    return min((_densities(after, edges, repeated, ours) - _densities(before, edges, repeated, theirs)
-                for ours, theirs in views), key=np.sum)
+    densities = [[_densities(fit, edges, repeated, gone) for gone in _views(fit)]
+                 for fit in (after, before)]
+    return min((one - other for one, other in zip(*densities, strict=True)), key=np.sum)
 
 
 def _views(fit: Fit) -> list[Indices]:
@@ -230,7 +230,8 @@ def _worth(fit: Fit) -> list[Gain]:
     whole = [_densities(fit, edges, repeated, gone) for gone in views]
     for columns in columns_of_effects(fit):
         without = [_densities(fit, edges, repeated, np.append(columns, gone)) for gone in views]
-        gains.append(summed(min((one - other for one, other in zip(whole, without, strict=True)), key=np.sum)))
+        differences = [one - other for one, other in zip(whole, without, strict=True)]
+        gains.append(summed(min(differences, key=np.sum)))
     return gains
 
 

@@ -35,8 +35,10 @@ POINT_DIFFERENCE = 1e-3
 class Trial:
     """An effect tried on a declared model.
 
-    :param n_parameters: parameters it spends. :param squares: (n,) sum of squares that it leaves of the samples in use.
-    :param residual: computes the (N, n) that it leaves, for few are asked for; None once the round is over.
+    :param n_parameters: parameters it spends.
+    :param squares: (n,) sum of squares that it leaves of the samples in use.
+    :param residual: computes the (N, n) that it leaves, for few are asked for; None once the round
+        is over.
     """
 
     effect: Effect
@@ -53,14 +55,15 @@ class Trial:
 
 
 def coarse_trial(fit: Fit, kind: type[Effect], where: str | None) -> Trial | None:
-    """An effect at the best of its coarse values and starts; None when none is physical, or nothing was recorded that
-    it depends on."""
+    """An effect at the best of its coarse values and starts; None when none is physical, or nothing
+    was recorded that it depends on."""
     best: tuple[float, Effect, Array] | None = None
     reference = next((known.reference for known in fit.effects if known.reference), tuple(fit.rigid_part.tolist()))
     for values in kind.searches(fit.body, fit.samples, where, fit.residual):
         effect, columns = _started(fit, kind.from_values(where, values, reference))
         told = fit.explain(columns)
-        if (effect.is_calibration or effect.physical(told.coefficients)) and (best is None or told.loss < best[0]):
+        physical = effect.is_calibration or effect.physical(told.coefficients)
+        if physical and (best is None or told.loss < best[0]):
             best = told.loss, effect, columns
     return None if best is None else _fitted(fit, *best[1:])
 
@@ -113,7 +116,8 @@ def refined(fit: Fit, trial: Trial) -> Trial:
     near = _weighed(fit, trial)
     if trial.effect.is_calibration:
         settled = gauss_newton(with_effects(near, [*fit.effects, trial.effect]), [trial.effect])
-        return replace(trial, effect=settled.effects[-1], residual=lambda: settled.residual, squares=settled.squares)
+        return replace(trial, effect=settled.effects[-1], residual=lambda: settled.residual,
+                       squares=settled.squares)
     best = _refined_once(near, trial)
     if trial.many_valued:
         best = _settled(fit, best)
@@ -198,7 +202,7 @@ def correlation_of(fit: Fit, trials: Sequence[Trial]) -> Array:
     """(n,) correlation time [samples] of each channel in what the trial that explains it best leaves of it."""
     best = np.array([trial.squares for trial in trials]).argmin(axis=0)
     left = [trials[index].residual for index in best.tolist()]
-    columns = [fit.used(residual())[:, channel] for channel, residual in enumerate(left) if residual is not None]
+    columns = [fit.used(residual())[:, channel] for channel, residual in enumerate(left) if residual]
     return correlation_times(np.column_stack(columns), fit.config)
 
 
@@ -209,7 +213,8 @@ def overlap(fit: Fit, one: Array, other: Array) -> float:
     return float(first @ second / (np.linalg.norm(first) * np.linalg.norm(second) + 1e-300))
 
 
-def coarse(fit: Fit, pool: Sequence[tuple[type[Effect], str | None]], report: Progress) -> list[Trial]:
+def coarse(fit: Fit, pool: Sequence[tuple[type[Effect], str | None]],
+           report: Progress) -> list[Trial]:
     """Every candidate's best trial by evidence, coarse."""
     trials = []
     for number, (kind, where) in enumerate(pool):

@@ -42,7 +42,8 @@ class Rival(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Step:
-    """One round: the effects added, the rivals of a single one, the trials by evidence, and effects made needless."""
+    """One round: the effects added, the rivals of a single one, the trials by evidence, and effects
+    that it made needless."""
 
     added: tuple[Effect, ...]
     rivals: tuple[Rival, ...]
@@ -79,8 +80,9 @@ def search(fit: Fit, kinds: dict[str, type[Effect]], progress: Progress = lambda
             fit = pruned(shaped, fixed, kinds)
             steps[-1] = replace(steps[-1], after=fit)
             continue
-        step.before.forget()  # far larger than the rest, and of this round alone, as what its trials leave
-        steps.append(replace(step, ranking=tuple(replace(trial, residual=None) for trial in step.ranking)))
+        step.before.forget()  # far larger than the rest, as what trials leave
+        ranking = tuple(replace(trial, residual=None) for trial in step.ranking)
+        steps.append(replace(step, ranking=ranking))
         fit = step.after
         if hopeless(fit):
             break
@@ -124,7 +126,8 @@ def _made(fit: Fit, best: Move, moves: Sequence[Move], ranking: Sequence[Trial],
         ranking = [replace(trial, effect=found[0]) if identity(trial.effect) == added[0] else trial
                    for trial in ranking]
     return Step(
-        added=found, rivals=_rivals(fit, best, moves) if alone else (), ranking=tuple(ranking), before=fit, after=after,
+        added=found, rivals=_rivals(fit, best, moves) if alone else (), ranking=tuple(ranking),
+        before=fit, after=after,
         dropped=tuple(effect for effect in fit.effects if identity(effect) not in names))
 
 

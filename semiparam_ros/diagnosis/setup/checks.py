@@ -43,8 +43,9 @@ MOTION_UNITS = {1.0 / DEGREE: ('position', 'degrees', DEGREE), DEGREE: ('velocit
                 np.pi / 30.0: ('velocity', 'revolutions per minute', np.pi / 30.0)}
 OUTPUT_UNITS = {1.0 / 9.81: 'kilograms-force', 9.81: 'newtons taken for kilograms-force', 1e3: 'thousandths (mN, N mm)',
                 1e-3: 'thousands (kN, kN m)', 1e2: 'hundredths (N cm)'}
-ACCELERATIONS = ((-1.0, 'acceleration_sign', 'has the opposite sign of its change of velocity: negate it'),
-                 (DEGREE, 'acceleration_units', 'is in degrees per second squared: publish it in rad/s^2'))
+ACCELERATIONS = (
+    (-1.0, 'acceleration_sign', 'has the opposite sign of its change of velocity: negate it'),
+    (DEGREE, 'acceleration_units', 'is in degrees per second squared: publish it in rad/s^2'))
 NO_MATCH = 'robot_description'
 
 
@@ -201,21 +202,26 @@ def _put_right(body: RigidBody, samples: Samples, right: Samples, belongings: It
     problems = []
     for order, signs, said in belongings:
         back = np.argsort(order)
-        ways = (_with_velocities(right, order, signs, config), relabelled(right, ('position',), back, signs[back]))
+        ways = (_with_velocities(right, order, signs, config),
+                relabelled(right, ('position',), back, signs[back]))
         ready = [_smoothed(samples, one, config) for one in ways]
         wrong = 0
         if len(ready[0]) >= config.least_working_samples:
-            wrong = int(np.argmax([evidence(equations(body, one, config), one.outputs).log for one in ready]))
+            likely = [evidence(equations(body, one, config), one.outputs).log for one in ready]
+            wrong = int(np.argmax(likely))
         right = ways[wrong]
         problems.append(said[wrong])
     return problems, right
 
 
-def _with_velocities(samples: Samples, order: Stamps, signs: Array, config: DiagnosisConfig) -> Samples:
-    """The samples with other velocities, and accelerations if those are derivatives of the ones recorded."""
+def _with_velocities(samples: Samples, order: Stamps, signs: Array,
+                     config: DiagnosisConfig) -> Samples:
+    """The samples with other velocities, and accelerations if those are derivatives of the ones
+    recorded."""
     changes, integrals = _spans(samples.time, samples.velocity, samples.acceleration, config)
     derived = np.sum(changes * integrals) > np.sum(changes[:, order] * signs * integrals)
-    return relabelled(samples, ('velocity', 'acceleration') if derived else ('velocity',), order, signs)
+    roles = ('velocity', 'acceleration') if derived else ('velocity',)
+    return relabelled(samples, roles, order, signs)
 
 
 def _other_belongings(joints: Sequence[str], samples: Samples, moving: Array,
@@ -528,8 +534,9 @@ def unit_problems(body: RigidBody, samples: Samples,
                      if 1.0 / config.unit_tolerance < slope / known < config.unit_tolerance), None)
         if alike > config.alike and unit is not None:
             found.append(SetupProblem('output_units', body.sensor_frame, (
-                f'The {name} is {unit:.3g} times what the robot description predicts, as if it were in '
-                f'{OUTPUT_UNITS[unit]}: publish it in {"N" if name == "force" else "N m"}.')))
+                f'The {name} is {unit:.3g} times what the robot description predicts, as if it '
+                f'were in {OUTPUT_UNITS[unit]}: publish it in '
+                f'{"N" if name == "force" else "N m"}.')))
             factors[channels] /= unit
     return found, relabelled(samples, ('outputs',), factors=factors)
 
