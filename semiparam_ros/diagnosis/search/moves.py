@@ -12,7 +12,7 @@ from semiparam_ros.diagnosis.regression import Fit, with_effects
 from semiparam_ros.diagnosis.search.candidates import Place, added_columns, identity, others
 from semiparam_ros.diagnosis.search.plausibility import all_plausible, prices, without_impossible
 from semiparam_ros.diagnosis.search.refit import declare
-from semiparam_ros.diagnosis.search.revision import pruned, reshaped
+from semiparam_ros.diagnosis.search.revision import formed_anew, pruned, reshaped
 from semiparam_ros.diagnosis.search.score import Gain, gain
 from semiparam_ros.diagnosis.search.scoring import Trial, coarse_trial
 from semiparam_ros.diagnosis.search.spans import best_spans, with_best_edge
@@ -114,7 +114,7 @@ def group_moves(fit: Fit, trials: Sequence[Trial], fixed: Collection[Place], kin
 
 
 def moving_moves(fit: Fit, fixed: Collection[Place], kinds: dict[str, type[Effect]]) -> list[Move]:
-    """Calibrations that move what the effects depend on, each with all forms of these settled beside it.
+    """Calibrations that move what the effects depend on, each with all forms of these searched anew beside it.
 
     Efforts that come late make dry friction seem to bend before it slides: each of the two hides the other.
     """
@@ -123,7 +123,8 @@ def moving_moves(fit: Fit, fixed: Collection[Place], kinds: dict[str, type[Effec
     for kind in kinds.values():
         if formed and kind.moves_friction and kind.kind not in known and None in kind.places(fit.body):
             nothing = kind(None, {coefficient.name: 0.0 for coefficient in kind.calibrations})
-            after = reshaped(without_impossible(declare(fit, [nothing]), fixed), fixed, kinds)
+            after = declare(formed_anew(declare(fit, [nothing]), fixed), [])
+            after = reshaped(without_impossible(after, fixed), fixed, kinds)
             added = next(effect for effect in after.effects if effect.kind == kind.kind)
             if added.is_noticeable(fit.samples):
                 moves += _plausible_moves(fit, after, [added], kinds)

@@ -10,7 +10,7 @@ from semiparam_ros.diagnosis.search.candidates import Place, held, identity, oth
 from semiparam_ros.diagnosis.search.plausibility import all_plausible, price, prices, usual
 from semiparam_ros.diagnosis.search.refit import declare, following, settled
 from semiparam_ros.diagnosis.search.score import gain, worth
-from semiparam_ros.diagnosis.search.scoring import line_searched
+from semiparam_ros.diagnosis.search.scoring import coarse_trial, line_searched
 
 
 def bent(fit: Fit, places: Collection[Place], kinds: Collection[str]) -> Fit:
@@ -50,6 +50,21 @@ def _opened(fit: Fit, numbers: Collection[int]) -> Fit:
 def reshaped(fit: Fit, fixed: Collection[Place], kinds: Collection[str]) -> Fit:
     """:func:`bent` of all effects that were found."""
     return bent(fit, {identity(effect) for effect in fit.effects}.difference(fixed), kinds)
+
+
+def formed_anew(fit: Fit, fixed: Collection[Place]) -> Fit:
+    """The model with each effect that was found at the best of its coarse forms beside all the others."""
+    after = fit
+    for effect in fit.effects:
+        if identity(effect) in fixed or effect.is_calibration or effect.span.values \
+                or not effect.searched:
+            continue
+        without = with_effects(after, others(after, effect))
+        trial = coarse_trial(without, type(effect), effect.where)
+        if trial is not None:
+            other = with_effects(without, [*without.effects, trial.effect])
+            after = other if other.loss < after.loss else after
+    return after
 
 
 def split(fit: Fit, places: Collection[Place], kinds: Collection[str]) -> Fit:
