@@ -142,8 +142,9 @@ def simplest(moves: Sequence[Move]) -> Move:
 
 
 def _alike(one: Move, other: Move) -> bool:
+    """Whether no block tells them apart, nor rounding: an offset from a time on is one until then."""
     difference = gain(one.after, other.after)
-    return difference.total < difference.error
+    return difference.total < max(difference.error, one.after.config.settled_gain)
 
 
 def values_of(effect: Effect, fit: Fit) -> int:
