@@ -28,7 +28,7 @@ from semiparam_ros.cli.main import main
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Mask
-from semiparam_ros.diagnosis.data.rest import counted_outputs
+from semiparam_ros.diagnosis.data.outliers import counted_outputs
 from semiparam_ros.diagnosis.data.splits import leading_split
 from semiparam_ros.diagnosis.diagnose import Diagnosis, diagnose
 from semiparam_ros.settings import Settings, load_params

@@ -51,8 +51,7 @@ from semiparam_ros.core.columns import CoupledColumns
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array, Mask
-from semiparam_ros.diagnosis.data.outliers import excluded
-from semiparam_ros.diagnosis.data.rest import counted_outputs
+from semiparam_ros.diagnosis.data.outliers import counted_outputs, excluded
 from semiparam_ros.diagnosis.diagnose import Diagnosis, diagnose
 from semiparam_ros.diagnosis.evaluation import evaluate_there
 from semiparam_ros.effects import Effect, kinds

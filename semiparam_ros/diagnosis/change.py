@@ -52,13 +52,13 @@ class ChangeRival(NamedTuple):
 class NamedChange:
     """The likeliest effect, None where none is worth its price.
 
-    :param gain: of log density of unseen blocks by it, and its standard error [nat]. :param price:
-        minus the log of its prior probability. :param rivals: the foremost others. :param
-        parameters: its values.
-    :param before: errors of the model before the change. :param without: of the model without the
-        effect, after it.
-    :param after: of the model with the effect, after it. :param seconds: of motion that was looked
-        at after it.
+    :param gain: of log density of unseen blocks by it, and its standard error [nat].
+    :param price: minus the log of its prior probability.
+    :param rivals: the foremost others. :param parameters: its values.
+    :param before: errors of the model before the change.
+    :param without: of the model without the effect, after it. :param after: of the one with it.
+    :param seconds: of motion that was looked at after it.
+    :param inputs: how the samples were prepared, for the next one of the same robot.
     """
 
     effect: Effect | None
@@ -71,58 +71,37 @@ class NamedChange:
     after: EvaluationFigures
     seconds: float
     inputs: Inputs
-    """How the samples were prepared, for the next one of the same robot."""
 
     @property
     def coefficients(self) -> tuple[Array, Array]:
         """(c,) values of the effect, and (c,) their standard deviations."""
         found = self.parameters.values()
-        return (
-            np.array([quantity.value for quantity in found]),
-            np.array([quantity.std or 0.0 for quantity in found]),
-        )
+        return (np.array([each.value for each in found]),
+                np.array([each.std or 0.0 for each in found]))
 
     def as_dict(self) -> dict[str, object]:
         """For a record."""
         effect = self.effect
-        return {
-            'effect': None
-            if effect is None
-            else {
-                'kind': effect.kind,
-                'where': effect.where,
-                **effect.span.values,
-                'sentence': effect.sentence,
-                'parameters': {name: vars(quantity) for name, quantity in self.parameters.items()},
-            },
-            'log_evidence_gain': self.gain.total,
-            'log_evidence_error': self.gain.error,
-            'price': self.price,
-            'rivals': [rival._asdict() for rival in self.rivals],
-            'before': self.before,
-            'without': self.without,
-            'after': self.after,
-            'seconds_after': self.seconds,
-        }
+        named = effect and {
+            'kind': effect.kind, 'where': effect.where, **effect.span.values,
+            'sentence': effect.sentence,
+            'parameters': {name: vars(quantity) for name, quantity in self.parameters.items()}}
+        return {'effect': named, 'log_evidence_gain': self.gain.total,
+                'log_evidence_error': self.gain.error, 'price': self.price,
+                'rivals': [rival._asdict() for rival in self.rivals], 'before': self.before,
+                'without': self.without, 'after': self.after, 'seconds_after': self.seconds}
 
 
-def name_change(
-    body: RigidBody,
-    samples: Samples,
-    effects: Sequence[Effect],
-    since_s: float,
-    ended_s: float | None = None,
-    inputs: Inputs | None = None,
-    config: DiagnosisConfig = DEFAULTS,
-    touched_s: float | None = None,
-    contacts: Sequence[tuple[float, float]] = (),
-) -> NamedChange:
-    """Find what began near ``since_s`` [s since the origin of the samples], and was over near
-    ``ended_s``.
+def name_change(body: RigidBody, samples: Samples, effects: Sequence[Effect], since_s: float,
+                ended_s: float | None = None, inputs: Inputs | None = None,
+                config: DiagnosisConfig = DEFAULTS, touched_s: float | None = None,
+                contacts: Sequence[tuple[float, float]] = ()) -> NamedChange:
+    """Find what began near ``since_s`` [s since the origin], and was over near ``ended_s``.
 
     :param effects: those that the model holds, declared or named before.
     :param inputs: how the samples are prepared; chosen anew, which takes most of the time, unless
-        given. :param touched_s: since when a contact stood out that it may have been.
+        given.
+    :param touched_s: since when a contact stood out that it may have been.
     :param contacts: [s] between which the robot was touched, which is left out.
 
     Raises SemiparamError when too few samples are left to work with.
@@ -134,51 +113,33 @@ def name_change(
     fit, inputs, changed = _first_fit(body, samples, effects, touched_s, inputs, config, clean)
     tried = _ranked(fit, fit.effects[: len(effects)], (touched_s, since_s), ended_s)
     best = _likeliest(tried)
-    after, parameters = fit, dict[str, Quantity]()
-    if best is not None:
-        after, parameters = best.after, _parameters(best, inputs, samples)
+    foremost = best or (tried[0] if tried else None)
     used = fit.train_mask
     rest = changed if ended_s is None else changed & (fit.samples.time < ended_s)
     require_enough(config, used & rest)
     step = float(np.median(np.diff(fit.samples.time)))
     return NamedChange(
-        effect=None if best is None else best.added[0],
-        gain=(best or tried[0]).gain if tried else Gain(0.0, 0.0),
-        price=(best or tried[0]).price if tried else 0.0,
-        rivals=_rivals(best, tried) if best else (),
-        parameters=parameters,
+        effect=best.added[0] if best else None,
+        gain=foremost.gain if foremost else Gain(0.0, 0.0),
+        price=foremost.price if foremost else 0.0,
+        rivals=tuple(
+            ChangeRival(other.added[0].kind, other.added[0].where, best.net - other.net)
+            for other in [other for other in tried if other is not best][:3]) if best else (),
+        parameters=_parameters(best, inputs, samples) if best else {},
         before=evaluate_here(fit, used & ~changed).as_dict(),
         without=evaluate_here(fit, used & rest).as_dict(),
-        after=evaluate_here(after, used & rest).as_dict(),
-        seconds=float(rest.sum()) * step,
-        inputs=inputs,
-    )
+        after=evaluate_here(best.after if best else fit, used & rest).as_dict(),
+        seconds=float(rest.sum()) * step, inputs=inputs)
 
 
-def _rivals(best: Move, tried: Sequence[Move]) -> tuple[ChangeRival, ...]:
-    """The three foremost of the others."""
-    return tuple(
-        ChangeRival(other.added[0].kind, other.added[0].where, best.net - other.net)
-        for other in [other for other in tried if other is not best][:3]
-    )
-
-
-def _ranked(
-    fit: Fit, known: Sequence[Effect], since_s: tuple[float, float], ended_s: float | None
-) -> list[Move]:
+def _ranked(fit: Fit, known: Sequence[Effect], since_s: tuple[float, float],
+            ended_s: float | None) -> list[Move]:
     """Every effect that may have begun, and every one that is known and may be over, the likeliest
     first."""
-    found = [
-        trial
-        for effect in _candidates(fit)
-        if (trial := _tried(fit, effect, since_s, ended_s)) is not None
-    ]
-    found += [
-        _over(fit, effect, since_s)
-        for effect in known
-        if (effect.changes or effect.may_come) and not effect.ends and ended_s is None
-    ]
-    return sorted(found, key=lambda trial: -trial.net)
+    begun = (_tried(fit, effect, since_s, ended_s) for effect in _candidates(fit))
+    over = [_over(fit, effect, since_s) for effect in known
+            if (effect.changes or effect.may_come) and not effect.ends and ended_s is None]
+    return sorted([*filter(None, begun), *over], key=lambda trial: -trial.net)
 
 
 def _likeliest(tried: Sequence[Move]) -> Move | None:
@@ -200,23 +161,16 @@ def _surpasses(best: Move, other: Move) -> bool:
     return beyond.exceeds(best.price - other.price, best.after.config.sure)
 
 
-def gain_since(
-    body: RigidBody,
-    samples: Samples,
-    since_s: float,
-    before: Sequence[Effect],
-    after: Sequence[Effect],
-    config: DiagnosisConfig = DEFAULTS,
-) -> Gain:
+def gain_since(body: RigidBody, samples: Samples, since_s: float, before: Sequence[Effect],
+               after: Sequence[Effect], config: DiagnosisConfig = DEFAULTS) -> Gain:
     """By how much [nat] a model with the effects ``after`` predicts samples from ``since_s`` [s
     since their origin] on better than one with the effects ``before``, both fitted to those before
     it.
 
     Raises SemiparamError when there are too few of either.
     """
-    models = [
-        [effect.in_recording(samples.origin) for effect in effects] for effects in (before, after)
-    ]
+    models = [[effect.in_recording(samples.origin) for effect in effects]
+              for effects in (before, after)]
     old = samples.time < since_s
     inputs, chosen, used, counted = prepared(body, samples, models[0], old, config)
     fitting, judging = used & inputs.mask(old), used & inputs.mask(~old)
@@ -225,21 +179,14 @@ def gain_since(
     repeated = repetition(fits[1])
     densities = [
         -0.5 * counted * (fit.residual**2 / fit.scale**2 + 2.0 * np.log(fit.scale)) / repeated
-        for fit in fits
-    ]
+        for fit in fits]
     gained = (densities[1] - densities[0]).sum(axis=1)[judging]
     return summed(block_sums(gained, config.blocks))
 
 
-def _first_fit(
-    body: RigidBody,
-    samples: Samples,
-    effects: Sequence[Effect],
-    since_s: float,
-    inputs: Inputs | None,
-    config: DiagnosisConfig,
-    clean: Mask,
-) -> tuple[Fit, Inputs, Mask]:
+def _first_fit(body: RigidBody, samples: Samples, effects: Sequence[Effect], since_s: float,
+               inputs: Inputs | None, config: DiagnosisConfig,
+               clean: Mask) -> tuple[Fit, Inputs, Mask]:
     """The model that is declared, how its samples were prepared, and which (N,) came after the
     change.
 
@@ -247,9 +194,8 @@ def _first_fit(
     """
     effects = [*(effect.in_recording(samples.origin) for effect in effects), *_friction(body)]
     everything = np.ones(len(samples), dtype=bool)
-    inputs, chosen, used, counted = prepared(
-        body, samples, effects, everything, config, inputs, clean
-    )
+    inputs, chosen, used, counted = prepared(body, samples, effects, everything, config, inputs,
+                                             clean)
     changed = np.asarray(chosen.time >= since_s)
     require_enough(config, used & ~changed, used)
     return starting_fit(body, chosen, effects, used, config, counted), inputs, changed
@@ -260,11 +206,8 @@ def _friction(body: RigidBody) -> list[Effect]:
     (``core.robot.joint_friction``)."""
     found: list[Effect] = []
     for joint in body.output_names if body.outputs == 'effort' else ():
-        found += [
-            ViscousFriction(joint),
-            EffortOffset(joint),
-            *(CoulombFriction(joint, {'turn_speed': speed}) for speed in TURN_SPEEDS.tolist()),
-        ]
+        found += [ViscousFriction(joint), EffortOffset(joint), *(
+            CoulombFriction(joint, {'turn_speed': speed}) for speed in TURN_SPEEDS.tolist())]
     return found
 
 
@@ -272,13 +215,9 @@ def _candidates(fit: Fit) -> list[Effect]:
     """Every effect that may begin."""
     body, reference = fit.body, tuple(fit.rigid_part.tolist())
     found: list[Effect] = [
-        kind.from_values(
-            where, kind.searches(body, fit.samples, where, fit.residual)[0], reference
-        )
+        kind.from_values(where, kind.searches(body, fit.samples, where, fit.residual)[0], reference)
         for kind in kinds(body.outputs).values()
-        if kind.may_start or kind.must_start or kind.may_come
-        for where in _places(kind, body)
-    ]
+        if kind.may_start or kind.must_start or kind.may_come for where in _places(kind, body)]
     for joint in body.output_names if body.outputs == 'effort' else ():
         found += [ViscousFriction(joint), CoulombFriction(joint, {'turn_speed': float(TURN_SPEEDS[-1])})]
     return found
@@ -291,9 +230,8 @@ def _places(kind: type[Effect], body: RigidBody) -> Sequence[str | None]:
     return [link] if link in places else places
 
 
-def _tried(
-    fit: Fit, effect: Effect, since_s: tuple[float, float], ended_s: float | None
-) -> Move | None:
+def _tried(fit: Fit, effect: Effect, since_s: tuple[float, float],
+           ended_s: float | None) -> Move | None:
     """The effect with its best times near those given, in the model; None where it has values that
     it cannot have."""
     spans = [Span(start_s=since_s[1], end_s=ended_s)]
@@ -326,15 +264,14 @@ def _over(fit: Fit, effect: Effect, since_s: tuple[float, float]) -> Move:
     kept = [known for known in fit.effects if known is not effect]
     over = with_best_edge(with_effects(fit, kept), effect, 'end_s', _near(fit, since_s))
     after = refit_weights(
-        with_effects(fit, [over if known is effect else known for known in fit.effects])
-    )
+        with_effects(fit, [over if known is effect else known for known in fit.effects]))
     gained = gain(fit, after, [float(over.end_s or since_s[1])])
     return Move((over,), after, gained, math.log(fit.config.start_grid))
 
 
 def _price(effect: Effect, fit: Fit) -> float:
     """[nat] minus the log of its prior probability: a load may have come or gone at any time near;
-    the rest is as unlikely as a diagnosis takes it to be (``search.prior_odds``)."""
+    the rest is as unlikely as a diagnosis takes it to be (``search.plausibility``)."""
     times = math.log(fit.config.start_grid) * len(effect.span.values)
     if effect.is_body:
         return times
@@ -347,9 +284,5 @@ def _parameters(best: Move, inputs: Inputs, samples: Samples) -> dict[str, Quant
     number = fit.effects.index(effect)
     block = fit.assembly.blocks[str(number)]
     told = estimates(fit, [number], inputs.disturbed(samples)).coefficients[:, block]
-    return {
-        name: Quantity(value, std, unit)
-        for (name, unit), (value, std) in zip(
-            effect.coefficients(fit.body), told.T.tolist(), strict=True
-        )
-    }
+    return {name: Quantity(value, std, unit) for (name, unit), (value, std) in zip(
+        effect.coefficients(fit.body), told.T.tolist(), strict=True)}

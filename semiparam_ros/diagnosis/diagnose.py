@@ -14,20 +14,19 @@ from semiparam_ros.core.types import Array, Mask
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
 from semiparam_ros.diagnosis.data.outliers import excluded, gaps, margin, working_factor
 from semiparam_ros.diagnosis.data.recordings import alone, beside_breaks, own_offsets, present, whole_groups
-from semiparam_ros.diagnosis.data.splits import interleaved_split, ranges
+from semiparam_ros.diagnosis.data.splits import block_sums, interleaved_split, ranges
 from semiparam_ros.diagnosis.evaluation import Evaluation, evaluate_here, evaluate_there
 from semiparam_ros.diagnosis.findings import Finding, declared_findings, findings, places_in
-from semiparam_ros.diagnosis.imitations import function_explains_more
 from semiparam_ros.diagnosis.preparation import Inputs, bursts, late, prepared, require_enough, too_fast
 from semiparam_ros.diagnosis.regression import Fit
 from semiparam_ros.diagnosis.residual.contacts import Contact, contacts
-from semiparam_ros.diagnosis.residual.noise import noise_floor
-from semiparam_ros.diagnosis.residual.structure import Structure, remaining_structure
-from semiparam_ros.diagnosis.search.all_samples import fitted_to_all
-from semiparam_ros.diagnosis.search.input_errors import with_error_columns, without_error_columns
+from semiparam_ros.diagnosis.residual.flexible import StandardisedInputs, explained
+from semiparam_ros.diagnosis.residual.noise import noise_floor, with_error_columns, without_error_columns
+from semiparam_ros.diagnosis.residual.structure import Structure, remaining_structure, samples_to_look_at
 from semiparam_ros.diagnosis.search.plausibility import all_plausible
-from semiparam_ros.diagnosis.search.ranking import Progress
-from semiparam_ros.diagnosis.search.refit import calibrated
+from semiparam_ros.diagnosis.search.refit import calibrated, fitted_to_all
+from semiparam_ros.diagnosis.search.score import summed
+from semiparam_ros.diagnosis.search.scoring import Progress
 from semiparam_ros.diagnosis.search.stepwise import Step, search, starting_fit
 from semiparam_ros.diagnosis.setup.checks import NO_MATCH, SetupProblem, setup_problems
 from semiparam_ros.diagnosis.setup.identifiability import unidentifiable
@@ -189,15 +188,13 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
     suspected = [problem for part in samples.recordings
                  for problem in setup_problems(body, alone(samples, part) if samples.breaks else samples, config)]
     try:
-        start = _first_model(body, samples, effects, _may_fit(samples, train_mask, other is not None, config), config)
+        start = _first_model(body, samples, effects, train_mask, other, config)
     except SemiparamError as error:
         clock = [problem.sentence for problem in suspected if problem.what == 'clock']  # leaves no time to look at
         raise SemiparamError(clock[0] if clock else str(error)) from error
-    require_enough(config, start.held_out if other is None else start.fitting)
     steps, setup, imitated = _searched(start, considered(body, only), suspected, progress, bool(only))
-    recorded, elsewhere = _judging(start, samples, other)
     *models, final = [start.first, *(step.after for step in steps)]
-    before, *by_step = (_judged(fit, start, elsewhere) for fit in (*models, final))
+    before, *by_step = (_judged(fit, start) for fit in (*models, final))
     progress('what is left', 0.0)
     structure, fast = (None, []) if setup else _left(final, samples, start)
     everything, told = _told(final, steps, samples, start, other is None)
@@ -209,46 +206,48 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
         config=config, verdict=verdict(start.first, final, structure, imitated or bool(setup)), imitated=imitated,
         findings=found, steps=steps, first=start.first, final=final, everything=everything, estimates=told,
         held_out=start.held_out, before=before, by_step=by_step, inputs=start.inputs, structure=structure, setup=setup,
-        notes=[*fast, *notes], recorded=recorded, elsewhere=elsewhere, names=names, contacts=touches)
+        notes=[*fast, *notes], recorded=start.recorded, elsewhere=start.elsewhere, names=names,
+        contacts=touches)
 
 
 class _Start(NamedTuple):
-    """The declared model and how it was fitted: the inputs, recorded samples (N,) that are clean and that may fit, and
-    working samples (M,) that fit and that judge."""
+    """The declared model and how it was fitted: the inputs, which recorded samples (N,) are clean,
+    which working samples (M,) fit and judge, and the recordings that do."""
 
     first: Fit
     inputs: Inputs
     clean: Mask
-    may_fit: Mask
     fitting: Mask
     held_out: Mask
+    recorded: Recorded
+    elsewhere: Elsewhere | None
 
 
-def _first_model(body: RigidBody, samples: Samples, effects: Sequence[Effect], may_fit: Mask,
+def _first_model(body: RigidBody, samples: Samples, effects: Sequence[Effect],
+                 train_mask: Mask | None, other: tuple[str, Samples] | None,
                  config: DiagnosisConfig) -> _Start:
     require_enough(config, np.ones(len(samples) // working_factor(samples, config), dtype=bool))
+    may_fit, count = train_mask, len(samples)
+    if may_fit is None:
+        may_fit = np.ones(count, dtype=bool) if other else interleaved_split(count, config)
     clean = ~excluded(samples, config) & ~beside_breaks(samples, margin(samples, config))
     inputs, chosen, valid, counted = prepared(body, samples, effects, may_fit, config, clean=clean)
     fitting, held_out = valid & inputs.mask(may_fit), valid & ~inputs.mask(may_fit)
-    require_enough(config, fitting)
+    require_enough(config, fitting, held_out if other is None else fitting)
     first = starting_fit(body, chosen, effects, fitting, config, counted)
     unvalued = [effect for effect in first.effects if effect.is_calibration and not effect.parameters]
-    return _Start(calibrated(first, unvalued), inputs, clean, may_fit, fitting, held_out)
+    recorded, elsewhere = Recorded(samples, clean & may_fit, samples, clean & ~may_fit), None
+    if other is not None:
+        recorded = Recorded(samples, clean & may_fit, other[1], ~excluded(other[1], config))
+        elsewhere = Elsewhere(other[0], inputs.prepare(other[1]), inputs.mask(recorded.valid))
+    return _Start(calibrated(first, unvalued), inputs, clean, fitting, held_out, recorded,
+                  elsewhere)
 
 
-def _judging(start: _Start, samples: Samples, other: tuple[str, Samples] | None) -> tuple[Recorded, Elsewhere | None]:
-    """What fits and what judges, and the other recording if there is one."""
-    fitting, config = start.clean & start.may_fit, start.first.config
-    if other is None:
-        return Recorded(samples, fitting, samples, start.clean & ~start.may_fit), None
-    recorded = Recorded(samples, fitting, other[1], ~excluded(other[1], config))
-    return recorded, Elsewhere(other[0], start.inputs.prepare(other[1]), start.inputs.mask(recorded.valid))
-
-
-def _judged(fit: Fit, start: _Start, elsewhere: Elsewhere | None) -> Evaluation:
-    if elsewhere is None:
+def _judged(fit: Fit, start: _Start) -> Evaluation:
+    if start.elsewhere is None:
         return evaluate_here(fit, start.held_out)
-    return evaluate_there(fit, elsewhere.samples, elsewhere.valid)
+    return evaluate_there(fit, start.elsewhere.samples, start.elsewhere.valid)
 
 
 def _left(final: Fit, samples: Samples, start: _Start) -> tuple[Structure, list[str]]:
@@ -263,7 +262,7 @@ def _left(final: Fit, samples: Samples, start: _Start) -> tuple[Structure, list[
 
 def _told(final: Fit, steps: list[Step], samples: Samples, start: _Start, judged_here: bool) -> tuple[Fit, Estimates]:
     """The final model fitted to all samples, where that gives no effect values that it cannot have, and its values."""
-    everything, new = final, [index for index, _, _ in places_in(final, steps)]
+    everything, new = final, [index for index, _ in places_in(final, steps)]
     if steps and judged_here:
         refit = fitted_to_all(final, start.fitting | start.held_out, new)
         everything = refit if all_plausible(final, refit) else final
@@ -327,12 +326,6 @@ def considered(body: RigidBody, only: Sequence[str] = ()) -> dict[str, type[Effe
     return {name: kind for name, kind in known.items() if not only or name in only}
 
 
-def _may_fit(samples: Samples, train_mask: Mask | None, judged_elsewhere: bool, config: DiagnosisConfig) -> Mask:
-    if train_mask is not None:
-        return train_mask
-    return np.ones(len(samples), dtype=bool) if judged_elsewhere else interleaved_split(len(samples), config)
-
-
 def verdict(first: Fit, final: Fit, structure: Structure | None, unexplained: bool) -> str:
     """One of VERDICTS: an effect counts as found only when it explains more than what stays unexplained."""
     left = 0.0
@@ -348,7 +341,10 @@ def _notes(samples: Samples, start: _Start, found: list[Finding]) -> list[str]:
     """Doubts that are said beside the result."""
     config = start.first.config
     stamps = bursts(samples, config) or late(start.inputs, samples)
-    return [*stamps, *unidentifiable(start.first.body, samples, config), *_left_out(start.clean),
+    count, left_out = int((~start.clean).sum()), list[str]()
+    if count:
+        left_out = [f'{count} of {len(samples)} samples next to gaps and shocks are left out.']
+    return [*stamps, *unidentifiable(start.first.body, samples, config), *left_out,
             *_changed_in_gaps(found, samples, config)]
 
 
@@ -366,6 +362,19 @@ def _changed_in_gaps(found: list[Finding], samples: Samples, config: DiagnosisCo
     return sentences
 
 
-def _left_out(valid: Mask) -> list[str]:
-    count = int((~valid).sum())
-    return [f'{count} of {len(valid)} samples next to gaps and shocks are left out.'] if count else []
+def function_explains_more(first: Fit, final: Fit) -> bool:
+    """Whether a smooth function of the motion and of time beside the first model predicts unseen
+    blocks better than the final model does.
+
+    A cause of no listed kind resembles several listed ones a little, and a search adds one after
+    the other. The laws of causes that are there hold on unseen blocks, and leave less than such a
+    function does.
+    """
+    config = final.config
+    rows = samples_to_look_at(final.train_mask, config)
+    if final is first or len(rows) < config.structure_least_samples:
+        return False
+    missing, left = ((fit.residual * fit.counted)[rows] / final.scale for fit in (first, final))
+    found, _ = explained(StandardisedInputs(final.body.joints, final.samples[rows], config), missing)
+    gains = summed(block_sums(left**2 - (missing - found)**2, config.blocks).sum(axis=1))
+    return gains.total > gains.error

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import TypedDict
 
 import numpy as np
@@ -13,7 +14,7 @@ from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array, Mask
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
-from semiparam_ros.diagnosis.data.rest import counted_outputs
+from semiparam_ros.diagnosis.data.outliers import counted_outputs
 from semiparam_ros.diagnosis.data.splits import ranges
 from semiparam_ros.diagnosis.regression import Fit
 
@@ -108,11 +109,10 @@ def evaluation_of(body: RigidBody, outputs: Array, residual: Array, valid: Mask,
     """The errors (N, n) of the samples ``valid`` (N,), of these the outputs ``counted`` (N, n); all unless given."""
     counted = np.ones(outputs.shape, dtype=bool) if counted is None else counted
     counted = counted | ~counted[valid].any(axis=0)  # of a joint that never moves there, everything is all there is
-    parts, start = [], 0
-    for low, high in ranges(valid):
-        parts.append((start, start + high - low))
-        start += high - low
-    return Evaluation(outputs[valid], residual[valid], counted[valid], tuple(parts), body.outputs == 'wrench', config)
+    ends = np.cumsum([high - low for low, high in ranges(valid)]).astype(int).tolist()
+    parts = tuple(pairwise([0, *ends]))
+    return Evaluation(outputs[valid], residual[valid], counted[valid], parts,
+                      body.outputs == 'wrench', config)
 
 
 def evaluate_here(fit: Fit, held_out: Mask) -> Evaluation:

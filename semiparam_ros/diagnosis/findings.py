@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
@@ -56,19 +57,19 @@ def findings(fit: Fit, steps: list[Step], everything: Fit, told: Estimates) -> l
     """
     gains = worth(fit)
     return [Finding(everything.effects[index], number, gains[index].total,
-                    _parameters(everything, index, told), steps[number - 1].rivals[place])
-            for index, number, place in places_in(fit, steps)]
+                    _parameters(everything, index, told), steps[number - 1].rivals)
+            for index, number in places_in(fit, steps)]
 
 
-def places_in(fit: Fit, steps: list[Step]) -> list[tuple[int, int, int]]:
-    """Of every effect that a step added and the model still holds: its number there, its round, its number in that."""
-    found: list[tuple[int, int, int]] = []
+def places_in(fit: Fit, steps: list[Step]) -> list[tuple[int, int]]:
+    """Of every effect that a step added and the model still holds: its number, and its round."""
+    found: dict[int, int] = {}
     for number, step in enumerate(steps, start=1):
-        for place, trial in enumerate(step.added):
-            index = _index_in(fit, trial.effect, [taken for taken, _, _ in found])
+        for effect in step.added:
+            index = _index_in(fit, effect, found)
             if index is not None:
-                found.append((index, number, place))
-    return found
+                found[index] = number
+    return list(found.items())
 
 
 def declared_findings(fit: Fit, found: list[Finding], told: Estimates) -> list[Finding]:
@@ -77,7 +78,7 @@ def declared_findings(fit: Fit, found: list[Finding], told: Estimates) -> list[F
             for index, effect in enumerate(fit.effects) if effect not in [finding.effect for finding in found]]
 
 
-def _index_in(fit: Fit, effect: Effect, taken: list[int]) -> int | None:
+def _index_in(fit: Fit, effect: Effect, taken: Collection[int]) -> int | None:
     """Where the model holds the effect now: at its place, or, as a load moves to the nearest link, with its start. Of
     several at one place, such as a load that was declared and a later one, the one whose start is nearest."""
     same = [index for index, known in enumerate(fit.effects) if known.kind == effect.kind and index not in taken

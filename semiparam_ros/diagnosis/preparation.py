@@ -21,10 +21,10 @@ from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.signals.smoothing import acceleration_errors, smoothed, smoothed_again
 from semiparam_ros.core.types import Array, Mask
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
-from semiparam_ros.diagnosis.data.outliers import excluded, typical_step, working_factor
-from semiparam_ros.diagnosis.data.rest import counted_outputs
+from semiparam_ros.diagnosis.data.outliers import counted_outputs, excluded, typical_step, working_factor
 from semiparam_ros.diagnosis.data.splits import block_sums
 from semiparam_ros.diagnosis.regression import Fit, fit_model, refit_weights
+from semiparam_ros.diagnosis.residual.noise import inertia_columns
 from semiparam_ros.diagnosis.search.candidates import held
 from semiparam_ros.diagnosis.search.score import block_edges, block_grams, summed
 from semiparam_ros.effects import Effect, kinds
@@ -162,18 +162,11 @@ def best_inputs(body: RigidBody, samples: Samples, effects: Sequence[Effect], tr
     return options[next(name for name in options if lost[name].total <= lost[name].error)]
 
 
-class Prepared(NamedTuple):
-    """Working samples: how they were prepared, which (N,) may be used, and which outputs (N, n) tell something."""
-
-    inputs: Inputs
-    samples: Samples
-    used: Mask
-    counted: Mask
-
-
 def prepared(body: RigidBody, samples: Samples, effects: Sequence[Effect], may_fit: Mask,
-             config: DiagnosisConfig = DEFAULTS, inputs: Inputs | None = None, clean: Mask | None = None) -> Prepared:
-    """Samples as a model with these effects is fitted to them.
+             config: DiagnosisConfig = DEFAULTS, inputs: Inputs | None = None,
+             clean: Mask | None = None) -> tuple[Inputs, Samples, Mask, Mask]:
+    """How samples are prepared for a model with these effects, the working samples, which (M,) of
+    them may be used, and which of their outputs (M, n) tell something.
 
     :param may_fit: (N,) those that choose the motion. :param inputs: how to prepare them; chosen unless given.
     :param clean: (N,) those that may be used; all beside no gap and no shock unless given.
@@ -182,7 +175,7 @@ def prepared(body: RigidBody, samples: Samples, effects: Sequence[Effect], may_f
     inputs = inputs or best_inputs(body, samples, effects, clean & may_fit, config)
     chosen = inputs.prepare(samples)
     counted = counted_outputs(body, chosen, config)
-    return Prepared(inputs, chosen, inputs.mask(clean) & counted.any(axis=1), counted)
+    return inputs, chosen, inputs.mask(clean) & counted.any(axis=1), counted
 
 
 def with_usual(body: RigidBody, samples: Samples, effects: Sequence[Effect]) -> list[Effect]:
@@ -205,24 +198,14 @@ def too_fast(body: RigidBody, samples: Samples, inputs: Inputs, fit: Fit) -> lis
     config, raw, smoother = fit.config, inputs.working(samples), SMOOTHED[inputs.motion]
     spread = fit.samples.acceleration.std(axis=0)
     left = fit.squares / np.maximum(fit.counts, 1.0)
-    still = body.outputs_of(fit.samples, fit.rigid_part)
-
-    def share(errors: Array) -> float:
-        """The largest share, over the outputs, of what is left that these errors (n_joints,) make."""
-        made = np.zeros(body.n_outputs)
-        for joint, error in enumerate(errors):
-            acceleration = fit.samples.acceleration.copy()
-            acceleration[:, joint] += error
-            moved = body.outputs_of(replace(fit.samples, acceleration=acceleration), fit.rigid_part)
-            made += np.mean((moved - still)[fit.train_mask] ** 2, axis=0)
-        return float((made / left).max())
-
+    power = np.mean(inertia_columns(body, fit.samples, fit.rigid_part)[fit.train_mask] ** 2, axis=0)
     errors, *finer = acceleration_errors(raw, *smoother, times=(1, *config.faster))
-    if not share(errors) >= config.most:  # nor where they are not known
+    share, *shares = [float((power @ each**2 / left).max()) for each in (errors, *finer)]
+    if not share >= config.most:  # nor where they are not known
         return []
     rate = 1e9 / float(np.median(np.diff(raw.stamps)))
-    enough = next((times for times, fewer in zip(config.faster, finer, strict=True)
-                   if share(fewer) < config.little), None)
+    enough = next((times for times, fewer in zip(config.faster, shares, strict=True)
+                   if fewer < config.little), None)
     worst = int((errors / np.maximum(spread, 1e-12)).argmax())
     remedy = f'record at {rate * enough:.0f} Hz, or measure them' if enough else 'measure them'
     return [f'The motion is too fast for {rate:.0f} Hz: accelerations cannot be had better than to '

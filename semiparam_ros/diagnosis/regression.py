@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -16,59 +16,17 @@ from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array, Indices, Mask
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
-from semiparam_ros.diagnosis.data.correlation import correlation_times
-from semiparam_ros.diagnosis.data.rest import sliding
+from semiparam_ros.diagnosis.data.outliers import sliding
+from semiparam_ros.diagnosis.data.splits import correlation_times
 from semiparam_ros.effects import Effect
 
-LARGE = ('corrected', 'blocks', 'in_use', 'order', 'channels', 'derivatives', 'sliding')
+LARGE = ('corrected', 'blocks', 'in_use', 'rows', 'asked', 'sliding')
 """What a fit computes when it is asked for: far more than the rest of it, where samples are many."""
-OF_COLUMNS = ('assembly', 'prior_deviation', 'corrected', 'blocks', 'in_use', 'order', 'channels', 'support',
-              'at_prior')
+OF_COLUMNS = ('assembly', 'prior_deviation', 'corrected', 'blocks', 'in_use', 'support', 'rows',
+              'grams', 'at_prior')
 """What neither its weights nor its outputs change."""
 ROUNDED = 1e-9
 """Share of the squares from which on a difference of their sums keeps enough digits."""
-
-
-class Block(NamedTuple):
-    """Columns (N, n, c) of one cause, and of each channel the numbers of those that are not zero there."""
-
-    columns: Array
-    support: list[Indices]
-
-
-class Channel(NamedTuple):
-    """What one output feels: a joint feels few bodies of a robot with limbs, and nothing of what rubs in other joints.
-
-    ``columns`` (p_k, N) holds the samples in use first; ``gram`` (p_k, p_k) are the products of these, not divided by
-    the channel's scale.
-    """
-
-    columns: Array
-    gram: Array
-
-
-@dataclass(frozen=True, eq=False)
-class Explained:
-    """What columns (N, n, c) explain beyond the declared ones of a fit.
-
-    :param coefficients: (c,). :param covariance: (c, c) of them over the noise's variance in scaled units.
-    :param rank: directions that the declared columns do not hold already.
-    :param refit: (p,) by which the coefficients of the declared columns change.
-    :param squares: (n,) sum of squares that is left of the samples in use.
-    """
-
-    fit: Fit
-    columns: Array
-    coefficients: Array
-    covariance: Array
-    rank: int
-    refit: Array
-    squares: Array
-
-    @cached_property
-    def residual(self) -> Array:
-        """(N, n) left afterwards, in the outputs' units."""
-        return self.fit.residual - predicted(self.columns, self.coefficients) - self.fit.predicted(self.refit)
 
 
 class Products(NamedTuple):
@@ -82,11 +40,42 @@ class Products(NamedTuple):
     shared: Array
 
 
-class CoefficientPrior(NamedTuple):
-    """What is known of the coefficients of further columns beforehand: (c,) mean and precision, in scaled units."""
+@dataclass(frozen=True, eq=False)
+class Explained:
+    """What columns (N, n, c) explain beyond the declared ones of a fit.
 
-    mean: Array
-    precision: Array
+    :param products: those of the columns. :param coefficients: (c,).
+    :param rank: directions that the declared columns do not hold already.
+    :param refit: (p,) by which the coefficients of the declared columns change.
+    :param loss: what is left of the fit's, where nothing is known of the coefficients.
+    """
+
+    fit: Fit
+    columns: Array
+    products: list[Products]
+    coefficients: Array
+    rank: int
+    refit: Array
+    loss: float
+
+    @cached_property
+    def residual(self) -> Array:
+        """(N, n) left afterwards, in the outputs' units."""
+        return self.fit.residual - predicted(self.columns, self.coefficients) - self.fit.predicted(self.refit)
+
+    @cached_property
+    def squares(self) -> Array:
+        """(n,) sum of squares that is left of the samples in use."""
+        fit, left = self.fit, self.fit.squares.copy()
+        refit = [self.refit[support] for support in fit.support]
+        for channel, (gram, moment) in enumerate(zip(fit.grams, fit.moments, strict=True)):
+            left[channel] += refit[channel] @ (gram @ refit[channel] - 2.0 * moment)
+        for channel, acting, inner, right, shared in self.products:
+            own = self.coefficients[acting]
+            left[channel] += own @ (inner @ own + 2.0 * (shared.T @ refit[channel] - right))
+        if (left < ROUNDED * fit.squares).any():  # too small a difference of large sums
+            return np.asarray((fit.used(self.residual) ** 2).sum(axis=0))
+        return left
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,19 +112,17 @@ class Fit:
         return body, inputs
 
     @cached_property
-    def blocks(self) -> list[Block]:
+    def blocks(self) -> list[Array]:
         """C (N, n, p) in parts: those of the rigid body, the offset and the effects, then the nuisance columns."""
         assembly, (body, inputs) = self.assembly, self.corrected
         parts = [assembly.rigid(body, inputs), assembly.offset(len(inputs)),
                  *(assembly.of_effect(index, body, inputs) for index in range(len(self.effects)))]
-        if self.nuisance is not None:
-            parts.append(self.nuisance)
-        return [Block(part, [np.flatnonzero(acting) for acting in np.asarray(part.any(axis=0))]) for part in parts]
+        return parts if self.nuisance is None else [*parts, self.nuisance]
 
     @property
     def n_columns(self) -> int:
         """p."""
-        return sum(block.columns.shape[2] for block in self.blocks)
+        return sum(block.shape[2] for block in self.blocks)
 
     @cached_property
     def in_use(self) -> list[Indices]:
@@ -143,48 +130,40 @@ class Fit:
         return [np.flatnonzero(self.train_mask & counted) for counted in self.counted.T]
 
     @cached_property
-    def order(self) -> list[Indices]:
-        """(N,) of each channel k the numbers of all samples, those in use whose output counts first."""
-        return [np.append(used, np.flatnonzero(~(self.train_mask & counted)))
-                for used, counted in zip(self.in_use, self.counted.T, strict=True)]
-
-    @cached_property
     def support(self) -> list[Indices]:
-        """(p_k,) of each channel k the numbers of the columns that are not zero there."""
-        starts = np.cumsum([0, *(block.columns.shape[2] for block in self.blocks)])
-        return [np.concatenate([start + block.support[channel]
-                                for start, block in zip(starts, self.blocks, strict=False)])
-                for channel in range(len(self.scale))]
+        """(p_k,) of each channel k the numbers of the columns that are not zero there: a joint feels
+        few bodies of a robot with limbs, and nothing of what rubs in other joints."""
+        acts = np.hstack([block.any(axis=0) for block in self.blocks])
+        return [np.flatnonzero(channel) for channel in acts]
 
     @cached_property
-    def channels(self) -> list[Channel]:
-        """What each channel feels of the columns."""
-        return [self._channel(number) for number in range(len(self.scale))]
-
-    def _channel(self, number: int) -> Channel:
-        order, used = self.order[number], len(self.in_use[number])
-        felt = [block.columns[:, number, column] for block in self.blocks for column in block.support[number].tolist()]
-        columns = np.empty((len(felt), len(order)))
-        for row, values in zip(columns, felt, strict=True):
-            np.take(values, order, out=row, mode='clip')  # 'raise' would buffer
-        return Channel(columns, columns[:, :used] @ columns[:, :used].T)
-
-    @property
     def rows(self) -> list[Array]:
         """(M_k, p_k) of each channel k the columns in use that it feels, not divided by its scale."""
-        return [channel.columns[:, :len(used)].T for channel, used in zip(self.channels, self.in_use, strict=True)]
+        columns = [(block, column) for block in self.blocks for column in range(block.shape[2])]
+        found = []
+        for channel, (used, support) in enumerate(zip(self.in_use, self.support, strict=True)):
+            rows = np.empty((len(support), len(used)))
+            for row, number in zip(rows, support.tolist(), strict=True):
+                block, column = columns[number]
+                np.take(block[:, channel, column], used, out=row, mode='clip')  # no buffer
+            found.append(rows.T)
+        return found
 
     @cached_property
-    def derivatives(self) -> dict[object, Array]:
-        """(N, n, c) each, those of the prediction that were asked for, by what they are derivatives of."""
+    def grams(self) -> list[Array]:
+        """(p_k, p_k) of each channel k the products of these columns."""
+        return [rows.T @ rows for rows in self.rows]
+
+    @cached_property
+    def asked(self) -> dict[object, Any]:
+        """Derivatives of the prediction and sums of blocks that were asked for, by what of."""
         return {}
 
     def predicted(self, theta: Array) -> Array:
         """(N, n) C theta."""
-        outputs = np.empty(self.samples.outputs.shape)
-        for number, (channel, order, support) in enumerate(zip(self.channels, self.order, self.support, strict=True)):
-            outputs[order, number] = theta[support] @ channel.columns
-        return outputs
+        parts = np.split(theta, np.cumsum([block.shape[2] for block in self.blocks])[:-1])
+        return sum((predicted(block, part) for block, part in zip(self.blocks, parts, strict=True)),
+                   np.zeros(self.samples.outputs.shape))
 
     @cached_property
     def at_prior(self) -> Array:
@@ -194,9 +173,9 @@ class Fit:
     @cached_property
     def factor(self) -> tuple[Array, bool]:
         """Cholesky factor of the regularised normal matrix."""
-        normal = np.diag(self._precision())
-        for channel, support, scale in zip(self.channels, self.support, self.scale, strict=True):
-            normal[np.ix_(support, support)] += channel.gram / scale**2
+        normal = np.diag(self.prior_deviation ** -2.0)
+        for gram, support, scale in zip(self.grams, self.support, self.scale, strict=True):
+            normal[np.ix_(support, support)] += gram / scale**2
         return cho_factor(normal)  # type: ignore[no-any-return]
 
     @property
@@ -244,52 +223,28 @@ class Fit:
             self.__dict__.pop(name, None)
 
     def used(self, values: Array) -> Array:
-        """(M, n, ...) of values (N, n, ...) those of the samples in use, zero where an output does not count."""
-        counted = self.counted[self.train_mask]
-        return np.asarray(values[self.train_mask] * counted.reshape(*counted.shape, *[1] * (values.ndim - 2)))
+        """(M, n) of values (N, n) those of samples in use, zero where an output does not count."""
+        return np.asarray(values[self.train_mask] * self.counted[self.train_mask])
 
-    def weighed(self, values: Array) -> Array:
-        """(M, n, ...) the same, each channel divided by its scale."""
-        return np.asarray(self.used(values) / self.scale.reshape(-1, *[1] * (values.ndim - 2)))
+    def scale_of(self, squares: Array) -> Array:
+        """(n,) root mean square of a residual, from its sums of squares (n,) over outputs in use."""
+        power = (self.used(self.samples.outputs) ** 2).sum(axis=0)
+        return residual_scale(*(np.sqrt(each / self.counts)[None] for each in (squares, power)))
 
-    def scale_of(self, residual: Array) -> Array:
-        """(n,) root mean square of a residual (N, n) over the outputs in use."""
-        grow = np.sqrt(self.train_mask.sum() / self.counts)
-        return residual_scale(self.used(residual) * grow, self.used(self.samples.outputs) * grow)
+    def explain(self, columns: Array, prior: tuple[Array, Array] | None = None) -> Explained:
+        """Regress the residual on columns (N, n, c), the declared ones refitted along.
 
-    def explain(self, columns: Array, prior: CoefficientPrior | None = None) -> Explained:
-        """Regress the residual on columns (N, n, c), the declared ones refitted along."""
+        :param prior: (c,) means and precisions of the coefficients beforehand, in scaled units.
+        """
         products = self._products(columns)
-        coefficients, covariance, rank, cross, _ = self._regressed(products, columns.shape[2], prior)
-        refit = -cross @ coefficients
-        left = self.squares.copy()
-        for channel, support in enumerate(self.support):
-            gram = self.channels[channel].gram
-            left[channel] += refit[support] @ (gram @ refit[support] - 2.0 * self.moments[channel])
-        for channel, acting, inner, right, shared in products:
-            own = coefficients[acting]
-            left[channel] += own @ (inner @ own + 2.0 * (shared.T @ refit[self.support[channel]] - right))
-        explained = Explained(self, columns, coefficients, covariance, rank, refit, left)
-        if (left < ROUNDED * self.squares).any():  # too small a difference of large sums
-            explained = replace(explained, squares=(self.used(explained.residual) ** 2).sum(axis=0))
-        return explained
+        coefficients, _, rank, cross, right = self._regressed(products, columns.shape[2], prior)
+        loss = self.loss - float(right @ coefficients)
+        return Explained(self, columns, products, coefficients, rank, -cross @ coefficients, loss)
 
     @cached_property
     def moments(self) -> list[Array]:
         """(p_k,) of each channel k the products of what it feels with the residual, of the samples in use."""
         return [rows.T @ left[used] for rows, used, left in zip(self.rows, self.in_use, self.residual.T, strict=True)]
-
-    def loss_with(self, columns: Array) -> tuple[float, Array]:
-        """What :meth:`explain` would leave of the loss, and the coefficients (c,); faster."""
-        coefficients, _, _, _, right = self._regressed(self._products(columns), columns.shape[2])
-        return self.loss - float(right @ coefficients), coefficients
-
-    def step_of_theta(self) -> Array:
-        """(p,) the change that brings theta to its best."""
-        right = self._precision() * (self.prior_mean() - self.theta)
-        for support, moment, scale in zip(self.support, self.moments, self.scale, strict=True):
-            right[support] += moment / scale**2
-        return np.asarray(cho_solve(self.factor, right))
 
     def _products(self, columns: Array) -> list[Products]:
         """Those of further columns (N, n, c), of each channel in which they act."""
@@ -302,8 +257,9 @@ class Fit:
                                          rows.T @ used))
         return products
 
-    def _regressed(self, products: list[Products], count: int,
-                   prior: CoefficientPrior | None = None) -> tuple[Array, Array, int, Array, Array]:
+    def _regressed(
+            self, products: list[Products], count: int, prior: tuple[Array, Array] | None = None,
+    ) -> tuple[Array, Array, int, Array, Array]:
         """Coefficients (c,), their covariance, rank, the refit (p, c) of the declared columns, and the right side."""
         inner, right = np.zeros((count, count)), np.zeros(count)
         shared = np.zeros((self.n_columns, count))
@@ -313,7 +269,7 @@ class Fit:
             right[each.acting] += weight * each.right
             shared[np.ix_(self.support[each.channel], each.acting)] += weight * each.shared
         if prior is not None:
-            inner, right = inner + np.diag(prior.precision), right + prior.precision * prior.mean
+            inner, right = inner + np.diag(prior[1]), right + prior[1] * prior[0]
         cross = cho_solve(self.factor, shared)
         power = np.diag(inner).copy()
         solved = _solve(inner - shared.T @ cross, right, power, self.config.negligible)
@@ -339,9 +295,6 @@ class Fit:
         """(p,) prior standard deviations of theta about its prior mean."""
         return self._with_nuisance(self.assembly.prior_scale, 1.0)
 
-    def _precision(self) -> Array:
-        return np.asarray(self.prior_deviation ** -2.0)
-
     def _with_nuisance(self, values: Array, each: float) -> Array:
         """Values of the coupled columns, followed by the same for each of the nuisance columns."""
         return values if self.nuisance is None else np.append(values, np.full(self.nuisance.shape[2], each))
@@ -363,25 +316,19 @@ def with_effects(fit: Fit, effects: Sequence[Effect]) -> Fit:
     return refitted(fit, effects, fit.nuisance, fit.counted)
 
 
-def with_nuisance(fit: Fit, nuisance: Array | None) -> Fit:
-    """The same samples, weights and effects fitted with these nuisance columns."""
-    return refitted(fit, fit.effects, nuisance, fit.counted)
-
-
 def refitted(fit: Fit, effects: Sequence[Effect], nuisance: Array | None, counted: Mask) -> Fit:
     """The same samples and weights with other effects, nuisance columns or outputs that count."""
     other = replace(fit, effects=tuple(effects), nuisance=nuisance, counted=counted)
     if _correcting(effects) == _correcting(fit.effects):
         other.__dict__['corrected'] = fit.corrected
     if counted is fit.counted:
-        other.__dict__.update(in_use=fit.in_use, order=fit.order)
+        other.__dict__['in_use'] = fit.in_use
     return reweighted(other, fit.scale)
 
 
 def _correcting(effects: Sequence[Effect]) -> list[Effect]:
     """Those of the effects that correct the body or the inputs."""
     return [effect for effect in effects if type(effect).correct is not Effect.correct]
-
 
 
 def predicted(columns: Array, coefficients: Array) -> Array:
@@ -391,20 +338,23 @@ def predicted(columns: Array, coefficients: Array) -> Array:
 
 def reweighted(fit: Fit, scale: Array) -> Fit:
     """The same model fitted with other weights."""
-    start = with_values(fit, fit.prior_mean(), fit.at_prior, scale)
-    change = start.step_of_theta()
-    return with_values(start, start.theta + change, start.residual - start.predicted(change))
+    start = _with_values(fit, fit.prior_mean(), fit.at_prior, scale, OF_COLUMNS)
+    right = np.zeros(len(start.theta))
+    for support, moment, each in zip(start.support, start.moments, scale, strict=True):
+        right[support] += moment / each**2
+    change = cho_solve(start.factor, right)
+    residual = start.residual - start.predicted(change)
+    return _with_values(start, start.theta + change, residual, scale, (*OF_COLUMNS, 'factor'))
 
 
 def refit_weights(first: Fit) -> Fit:
     """The same fit with each channel weighed by its own residual."""
-    return reweighted(first, first.scale_of(first.residual))
+    return reweighted(first, first.scale_of(first.squares))
 
 
-def with_values(fit: Fit, theta: Array, residual: Array, scale: Array | None = None) -> Fit:
-    """The same samples and effects, and so the same columns, with other values."""
-    other = replace(fit, scale=fit.scale if scale is None else scale, theta=theta, residual=residual)
-    same = (*OF_COLUMNS, *(('factor',) if scale is None else ()))
+def _with_values(fit: Fit, theta: Array, residual: Array, scale: Array, same: Sequence[str]) -> Fit:
+    """The same samples and effects with other values, and what these leave the ``same``."""
+    other = replace(fit, scale=scale, theta=theta, residual=residual)
     other.__dict__.update({name: fit.__dict__[name] for name in same if name in fit.__dict__})
     return other
 

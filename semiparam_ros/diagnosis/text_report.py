@@ -29,14 +29,23 @@ EARLIEST_DATE_S = 1e9
 
 def text_report(diagnosis: Diagnosis) -> list[str]:
     """A few sentences: is anything missing, what, where, since when, how large, how sure, and what it brings."""
-    lines = [problem.sentence for problem in diagnosis.setup]
-    lines += [_opening(diagnosis), *_not_explained(diagnosis)] if not lines else []
+    lines = _verdict(diagnosis)
     for finding in diagnosis.findings:
-        lines.append(_finding(diagnosis, finding))
-        lines += _doubts(diagnosis, finding) + _rivals(finding, diagnosis.config.better_odds)
-    lines += [_declared(diagnosis, finding) for finding in diagnosis.declared]
+        effect = finding.effect
+        lines.append(f'{place(effect.kind, effect.where)}: {effect.sentence}'
+                     f'{when(diagnosis, effect)} ({_values(finding)}; '
+                     f'log evidence +{finding.log_evidence_gain:.0f}).')
+        doubt = effect.doubt(diagnosis.final.body, diagnosis.final.samples)
+        lines += [f'  {doubt}'] if doubt else []
+        lines += _rivals(finding, diagnosis.config.better_odds)
+    lines += [f'Declared: {place(each.effect.kind, each.effect.where)}'
+              f'{when(diagnosis, each.effect)} ({_values(each)}).' for each in diagnosis.declared]
     lines += [ONE_FREEDOM] if diagnosis.gain_and_mass_are_one else []
-    lines += _dropped(diagnosis)
+    dropped = [place(effect.kind, effect.where)
+               for step in diagnosis.steps for effect in step.dropped]
+    if dropped:
+        lines.append('Tried first and dropped, because the effects above explain it better: '
+                     f'{", ".join(dropped)}.')
     if diagnosis.findings:
         lines.append(_gain(diagnosis))
     if diagnosis.structure is not None and diagnosis.structure.significant:
@@ -46,13 +55,23 @@ def text_report(diagnosis: Diagnosis) -> list[str]:
 
 def summary(diagnosis: Diagnosis) -> list[str]:
     """What was found, a line for each effect, and what to do now; :func:`text_report` has the details."""
-    lines = [problem.sentence for problem in diagnosis.setup] or [_opening(diagnosis), *_not_explained(diagnosis)]
+    lines = _verdict(diagnosis)
     for finding in diagnosis.findings:
         effect = finding.effect
         rivals = f'; or {place(finding.rivals[0].kind, finding.rivals[0].where)}' if finding.rivals else ''
         lines.append(f'- {place(effect.kind, effect.where)}{when(diagnosis, effect)}: '
                      f'{_values(finding, MOST_IN_ROW)}{rivals}')
     return lines
+
+
+def _verdict(diagnosis: Diagnosis) -> list[str]:
+    """What is wrong with the set-up, else whether anything is missing, and outputs that stay a
+    riddle, whatever was found elsewhere."""
+    riddles = [f'{name} is not explained: {100 * left:.0f} % of its variance is left, of which '
+               f'noise is {100 * noise:.0f} %. Look at its sign, its unit, its place in the '
+               'message, or for contact.'
+               for name, (left, noise) in diagnosis.unexplained_outputs.items()]
+    return [problem.sentence for problem in diagnosis.setup] or [_opening(diagnosis), *riddles]
 
 
 def _opening(diagnosis: Diagnosis) -> str:
@@ -65,13 +84,6 @@ def _opening(diagnosis: Diagnosis) -> str:
         return 'Something is missing, and the effects below explain only the smaller part of it.'
     count = len(diagnosis.findings)
     return f'The model lacks {"one effect" if count == 1 else f"{count} effects"}.'
-
-
-def _not_explained(diagnosis: Diagnosis) -> list[str]:
-    """Outputs that stay a riddle, whatever was found elsewhere."""
-    return [f'{name} is not explained: {100 * left:.0f} % of its variance is left, of which noise is '
-            f'{100 * noise:.0f} %. Look at its sign, its unit, its place in the message, or for contact.'
-            for name, (left, noise) in diagnosis.unexplained_outputs.items()]
 
 
 def _contacts(diagnosis: Diagnosis) -> list[str]:
@@ -88,11 +100,6 @@ def _contacts(diagnosis: Diagnosis) -> list[str]:
                         if len(contact.channels) > 1 else '') + '.')
     count = 'once' if len(lines) == 1 else f'{len(lines)} times'
     return [f'The arm seems to have been touched {count}; record without that, or leave these stretches out:', *lines]
-
-
-def _declared(diagnosis: Diagnosis, finding: Finding) -> str:
-    effect = finding.effect
-    return f'Declared: {place(effect.kind, effect.where)}{when(diagnosis, effect)} ({_values(finding)}).'
 
 
 def when(diagnosis: Diagnosis, effect: Effect) -> str:
@@ -116,12 +123,6 @@ def at_time(samples: Samples, time_s: float) -> str:
     if stamp < EARLIEST_DATE_S:
         return ''
     return datetime.fromtimestamp(round(stamp, 1), timezone.utc).strftime(' (%Y-%m-%d %H:%M:%S UTC)')
-
-
-def _finding(diagnosis: Diagnosis, finding: Finding) -> str:
-    effect = finding.effect
-    return (f'{place(effect.kind, effect.where)}: {effect.sentence}{when(diagnosis, effect)} ({_values(finding)}; '
-            f'log evidence +{finding.log_evidence_gain:.0f}).')
 
 
 def remarks(diagnosis: Diagnosis, effect: Effect) -> list[str]:
@@ -206,11 +207,6 @@ def next_step(diagnosis: Diagnosis, written: str = '') -> str:
     return 'nothing; to see more, record faster motion of more joints.'
 
 
-def _doubts(diagnosis: Diagnosis, finding: Finding) -> list[str]:
-    doubt = finding.effect.doubt(diagnosis.final.body, diagnosis.final.samples)
-    return [f'  {doubt}'] if doubt else []
-
-
 def _rivals(finding: Finding, better_odds: float) -> list[str]:
     if not finding.rivals:
         return []
@@ -234,12 +230,6 @@ def _likely(odds: float) -> str:
         return 'as likely'
     ratio = min(max(odds, 1.0 / odds), 1e6)
     return f'{float(f"{ratio:.2g}"):.7g} times {"more" if odds > 1.0 else "less"} likely'
-
-
-def _dropped(diagnosis: Diagnosis) -> list[str]:
-    names = [place(effect.kind, effect.where) for step in diagnosis.steps for effect in step.dropped]
-    return [f'Tried first and dropped, because the effects above explain it better: {", ".join(names)}.'] \
-        if names else []
 
 
 def _gain(diagnosis: Diagnosis) -> str:

@@ -30,8 +30,7 @@ from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array, Indices
 from semiparam_ros.diagnosis.regression import Fit
 from semiparam_ros.diagnosis.search.candidates import added_columns
-from semiparam_ros.diagnosis.search.refit import calibrated_values, moved_by
-from semiparam_ros.diagnosis.search.shapes import Shape, shape_columns, shapes_of
+from semiparam_ros.diagnosis.search.refit import Shape, calibrated_values, moved_by, shape_columns, shapes_of
 from semiparam_ros.effects import Effect
 
 GAIN_STEP = 1e-6
@@ -93,21 +92,13 @@ def _further(fit: Fit, calibrated: Sequence[int], shapes: list[Shape]) -> list[A
     return [*(added_columns(fit, fit.effects[number]) for number in calibrated), shape_columns(fit, shapes)]
 
 
-class _Rows(NamedTuple):
-    """Of a channel's samples in use (M,) the columns that act there (a,), over the channel's scale (M, a)."""
-
-    channel: int
-    used: Indices
-    acting: Indices
-    weighed: Array
-
-
-def _rows(fit: Fit, columns: Array) -> Iterator[_Rows]:
-    """Those of theta's columns and further ones (N, n, c)."""
+def _rows(fit: Fit, columns: Array) -> Iterator[tuple[int, Indices, Indices, Array]]:
+    """Each channel, its samples in use (M,), the columns of theta and further ones (N, n, c) that
+    act there (a,), and these over the channel's scale (M, a)."""
     further = fit.n_columns + np.arange(columns.shape[2])
     for channel, (used, support, rows) in enumerate(zip(fit.in_use, fit.support, fit.rows, strict=True)):
         weighed = np.hstack([rows, columns[used, channel]]) / fit.scale[channel]
-        yield _Rows(channel, used, np.append(support, further), weighed)
+        yield channel, used, np.append(support, further), weighed
 
 
 def _deviations(fit: Fit, columns: Array, told: Array) -> Array:

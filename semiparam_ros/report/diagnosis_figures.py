@@ -241,8 +241,8 @@ def relative_power(residual: Array, step: float, floor: Array) -> tuple[Array, A
 def candidates_of(step: Step, number: int) -> Figure:
     """Log evidence of the foremost candidates of a round, the chosen ones and their rivals in colours of their own."""
     shown = foremost(step)
-    chosen = {(trial.effect.kind, trial.effect.where) for trial in step.added}
-    rivals = {(rival.kind, rival.where) for group in step.rivals for rival in group}
+    chosen = {(effect.kind, effect.where) for effect in step.added}
+    rivals = {(rival.kind, rival.where) for rival in step.rivals}
     with page_style():
         figure = Figure(figsize=(WIDTH, 0.24 * len(shown) + 0.9))
         panel = figure.subplots()
@@ -264,7 +264,7 @@ def candidates_of(step: Step, number: int) -> Figure:
 
 def foremost(step: Step) -> list[Trial]:
     """The best candidates of a round that explain anything, and every one that was added."""
-    added = {(trial.effect.kind, trial.effect.where) for trial in step.added}
+    added = {(effect.kind, effect.where) for effect in step.added}
     worth = [trial for trial in step.ranking if trial.evidence > 0.0]
     later = [trial for trial in worth[MOST_BARS:] if (trial.effect.kind, trial.effect.where) in added]
     return [*worth[:MOST_BARS], *later]

@@ -103,7 +103,7 @@ def relative_floor(diagnosis: Diagnosis) -> Array:
 
 def round_rows(diagnosis: Diagnosis) -> list[RoundRow]:
     """The declared model, and then every round."""
-    named = [', '.join(place(trial.effect.kind, trial.effect.where) for trial in step.added)
+    named = [', '.join(place(effect.kind, effect.where) for effect in step.added)
              for step in diagnosis.steps]
     judged = [diagnosis.before, *diagnosis.by_step]
     return [RoundRow(number, added, float(evaluation.nmse.mean()), *evaluation.interval())
@@ -247,7 +247,7 @@ def _spectra(diagnosis: Diagnosis) -> Picture:
 
 def _candidates(diagnosis: Diagnosis) -> list[Picture]:
     return [picture(f'Candidates of round {number}', f'round{number}', figures.candidates_of(step, number),
-                    LOADS if any(trial.effect.is_load for trial in step.added) else '')
+                    LOADS if any(effect.is_load for effect in step.added) else '')
             for number, step in enumerate(diagnosis.steps, start=1)]
 
 

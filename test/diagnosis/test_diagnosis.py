@@ -16,18 +16,16 @@ from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.diagnosis.config import DEFAULTS
-from semiparam_ros.diagnosis.data.correlation import correlation_times
-from semiparam_ros.diagnosis.data.splits import interleaved_split, leading_split, ranges
+from semiparam_ros.diagnosis.data.splits import correlation_times, interleaved_split, leading_split, ranges
 from semiparam_ros.diagnosis.diagnose import VERDICTS, diagnose
 from semiparam_ros.diagnosis.evaluation import evaluate_here, evaluate_there
 from semiparam_ros.diagnosis.findings import Quantity
 from semiparam_ros.diagnosis.regression import fit_model
 from semiparam_ros.diagnosis.residual.noise import noise_floor
-from semiparam_ros.diagnosis.search.candidates import Candidate, added_columns
-from semiparam_ros.diagnosis.search.ranking import worth_refining
+from semiparam_ros.diagnosis.search.candidates import added_columns
 from semiparam_ros.diagnosis.search.refit import declare
 from semiparam_ros.diagnosis.search.revision import pruned
-from semiparam_ros.diagnosis.search.scoring import Trial, coarse_trial, score
+from semiparam_ros.diagnosis.search.scoring import Trial, coarse_trial, score, worth_refining
 from semiparam_ros.diagnosis.search.spans import best_edge, best_spans
 from semiparam_ros.diagnosis.search.stepwise import Rival
 from semiparam_ros.diagnosis.text_report import next_step, quantity_text, table_rows, text_report
@@ -307,10 +305,9 @@ def test_effects_of_one_diagnosis_share_one_reference_model():
     samples = replace(motion, outputs=exact + (1.0 + np.abs(exact)) * np.tanh(motion.velocity / 0.1))
     use, first = np.ones(len(samples), dtype=bool), body.joints[0]
     fit = fit_model(body, samples, [], use, np.ones(body.n_outputs))
-    slow = ({'turn_speed': 0.1},)
 
     def tried(fit, kind, joint):
-        return coarse_trial(fit, Candidate(kinds()[kind], joint, slow)).effect
+        return coarse_trial(fit, kinds()[kind], joint).effect
 
     rubbing = tried(fit, 'load_friction', first)
     assert rubbing.reference == tuple(fit.rigid_part)
@@ -707,9 +704,9 @@ def test_a_large_gain_is_settled_by_gauss_newton():
 
 
 def test_calibrations_are_refined_however_little_their_linear_approximation_explains(friction):
-    first, nothing = friction.first, np.zeros((1, 4))
-    springs = [Trial(kinds()['cable_spring']('r_elbow', {}), nothing, 6, evidence=100.0 - rank) for rank in range(9)]
-    delay, faint = (Trial(kinds()['time_delay'](None, {'delay_s': 0.01}), nothing, 1, evidence=each)
+    first, nothing = friction.first, np.zeros(4)
+    springs = [Trial(kinds()['cable_spring']('r_elbow', {}), 6, nothing, evidence=100.0 - rank) for rank in range(9)]
+    delay, faint = (Trial(kinds()['time_delay'](None, {'delay_s': 0.01}), 1, nothing, evidence=each)
                     for each in (50.0, 2.0))
     chosen = worth_refining(replace(first, body=icub()), [*springs, delay, faint])
     assert delay in chosen and faint not in chosen and springs[0] in chosen and springs[8] not in chosen
@@ -717,13 +714,13 @@ def test_calibrations_are_refined_however_little_their_linear_approximation_expl
 
 def test_parameters_cost_evidence_and_correlated_samples_count_less():
     fit = state_of(RECORDED)
-    trial = Trial(kinds()['viscous_drag']('r_hand', {}), 0.9 * fit.residual, 1)
+    trial = Trial(kinds()['viscous_drag']('r_hand', {}), 1, 0.81 * fit.squares)
     white, slow = np.ones(6), np.full(6, 10.0)
     one = score(fit, trial, white).evidence
     assert one == pytest.approx(-6 * 400 * np.log(0.9) - 0.5 * np.log(2400))
     assert score(fit, replace(trial, n_parameters=5), white).evidence == pytest.approx(one - 2.0 * np.log(2400))
     assert score(fit, trial, slow).evidence == pytest.approx(-6 * 40 * np.log(0.9) - 0.5 * np.log(240))
-    assert score(fit, replace(trial, leaves=fit.residual), white).evidence < 0.0
+    assert score(fit, replace(trial, squares=fit.squares), white).evidence < 0.0
 
 
 def test_errors_are_over_the_variance_and_over_the_horizon():

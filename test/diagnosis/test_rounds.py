@@ -13,11 +13,11 @@ from semiparam_ros.core.columns import CoupledColumns
 from semiparam_ros.core.robot.consistency import pseudo_inertia
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
-from semiparam_ros.diagnosis.data.rest import counted_outputs, resting
+from semiparam_ros.diagnosis.data.outliers import counted_outputs, resting
 from semiparam_ros.diagnosis.diagnose import diagnose
 from semiparam_ros.diagnosis.evaluation import evaluation_of
 from semiparam_ros.diagnosis.preparation import ESTIMATED, best_inputs
-from semiparam_ros.diagnosis.regression import Fit, fit_model, with_effects, with_nuisance
+from semiparam_ros.diagnosis.regression import Fit, fit_model, refitted, with_effects
 from semiparam_ros.diagnosis.search.candidates import added_columns, candidates, held
 from semiparam_ros.diagnosis.search.plausibility import all_plausible
 from semiparam_ros.diagnosis.search.refit import declare, gauss_newton
@@ -154,8 +154,8 @@ def test_what_a_model_holds_as_a_part_is_no_candidate():
     asymmetric = kinds()['asymmetric_friction']('turn', {'turn_speed': 0.01})
     assert held([asymmetric]) == {(kind, 'turn') for kind in (
         'asymmetric_friction', 'coulomb_friction', 'viscous_friction')}
-    tried = {(candidate.kind.kind, candidate.where)
-             for candidate in candidates(fit_model(BODY, samples, [asymmetric], use, scale), kinds('effort'))}
+    tried = {(kind.kind, where)
+             for kind, where in candidates(fit_model(BODY, samples, [asymmetric], use, scale), kinds('effort'))}
     assert not tried & held([asymmetric]) and ('coulomb_friction', 'grip') in tried
 
 
@@ -175,7 +175,7 @@ def test_friction_of_all_joints_is_found_in_one_round_and_every_round_improves_t
     dry, viscous = np.array([1.0, 2.0, 0.5, 0.1]), np.array([2.0, 1.0, 0.3, 0.05])
     found = diagnose(BODY, rubbing(moving(1), dry, viscous, 0.02))
     expected = {(kind, joint) for kind in ('coulomb_friction', 'viscous_friction') for joint in ODD_JOINTS}
-    assert {(trial.effect.kind, trial.effect.where) for trial in found.steps[0].added} == expected
+    assert {(effect.kind, effect.where) for effect in found.steps[0].added} == expected
     assert {(finding.effect.kind, finding.effect.where) for finding in found.findings} == expected
     for finding in found.findings:
         size = (dry if finding.effect.kind == 'coulomb_friction' else viscous)[ODD_JOINTS.index(finding.effect.where)]
@@ -190,10 +190,10 @@ def test_a_round_that_is_over_keeps_none_of_what_its_models_and_trials_computed(
     steps = search(starting_fit(body, samples, (), np.ones(600, dtype=bool)), kinds('effort'))
     assert len(steps) > 0
     for step in steps:
-        assert not {'blocks', 'channels', 'corrected', 'derivatives'} & vars(step.before).keys()
-        assert all(len(trial.residual) == 0 for trial in (*step.added, *step.ranking))
+        assert not {'blocks', 'rows', 'corrected', 'asked'} & vars(step.before).keys()
+        assert all(trial.residual is None for trial in step.ranking)
     others = [one for one in gc.get_objects() if isinstance(one, Fit) and one is not steps[-1].after]
-    assert not [one for one in others if one.body is body and one.samples is samples and 'channels' in vars(one)]
+    assert not [one for one in others if one.body is body and one.samples is samples and 'rows' in vars(one)]
 
 
 @pytest.mark.parametrize('text', [
@@ -204,10 +204,11 @@ def test_a_model_made_of_another_ones_parts_is_the_same_as_one_made_anew(text):
     known = [effect_from_text(each) for each in ('coulomb_friction@grip{"turn_speed": 0.02}',
                                                  'payload@tool{"start_s": 8.0}', 'joint_offset@turn{"offset": 0.1}')]
     nuisance, counted = np.random.default_rng(0).standard_normal((600, 4, 2)), ~resting(samples)
-    first = with_nuisance(fit_model(BODY, samples, known, use, scale, counted=counted), nuisance)
+    first = refitted(fit_model(BODY, samples, known, use, scale, counted=counted), known, nuisance, counted)
     for effects in ([*known, effect_from_text(text)], [known[1], effect_from_text(text), known[0]], known[:1]):
         shared = with_effects(first, effects)
-        anew = with_nuisance(fit_model(BODY, samples, effects, use, scale, counted=counted), nuisance)
+        anew = refitted(fit_model(BODY, samples, effects, use, scale, counted=counted), effects, nuisance,
+                        counted)
         np.testing.assert_allclose(shared.theta, anew.theta, rtol=1e-9, atol=1e-9)
         np.testing.assert_allclose(shared.residual, anew.residual, rtol=1e-9, atol=1e-9)
         columns = CoupledColumns(BODY, effects).batch(samples)[0]

@@ -12,8 +12,7 @@ from scipy.stats import multivariate_normal
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.diagnosis.config import DEFAULTS
 from semiparam_ros.diagnosis.regression import fit_model
-from semiparam_ros.diagnosis.search.prior_odds import price
-from semiparam_ros.diagnosis.search.ranking import worth_refining
+from semiparam_ros.diagnosis.search.plausibility import price
 from semiparam_ros.diagnosis.search.refit import declare
 from semiparam_ros.diagnosis.search.revision import pruned
 from semiparam_ros.diagnosis.search.score import (
@@ -26,7 +25,7 @@ from semiparam_ros.diagnosis.search.score import (
     summed,
     worth,
 )
-from semiparam_ros.diagnosis.search.scoring import Trial
+from semiparam_ros.diagnosis.search.scoring import Trial, worth_refining
 from semiparam_ros.diagnosis.search.stepwise import starting_fit
 from semiparam_ros.effects import kinds
 from semiparam_ros.effects.base import Span
@@ -164,10 +163,10 @@ def test_priors_of_the_robots_size_hold_what_the_other_blocks_leave_open():
 
 def test_the_foremost_of_each_kind_with_many_values_are_refined():
     """A coarse search tries few of their values: a cable that slips stood behind eight others, and was passed over."""
-    plain = [Trial(kinds()['viscous_friction'](str(number)), np.zeros(0), 1, evidence=100.0 - number)
+    plain = [Trial(kinds()['viscous_friction'](str(number)), 1, np.zeros(0), evidence=100.0 - number)
              for number in range(DEFAULTS.tried + 2)]
     cable = kinds('wrench')['cable_hysteresis']
-    many = [Trial(cable(str(number), dict.fromkeys(('slip', 'azimuth', 'elevation', 'nearness'), 0.1)), np.zeros(0), 4,
+    many = [Trial(cable(str(number), dict.fromkeys(('slip', 'azimuth', 'elevation', 'nearness'), 0.1)), 4, np.zeros(0),
                   evidence=evidence) for number, evidence in enumerate((80.0, 70.0, 60.0, 50.0))]
     chosen = worth_refining(SimpleNamespace(config=DEFAULTS), [*plain, *many])
     assert chosen == [*plain[:DEFAULTS.tried], *many[:DEFAULTS.of_each_kind]]

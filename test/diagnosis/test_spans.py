@@ -2,13 +2,16 @@
 
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from semiparam_ros.core.robot.rigid_body import RigidBody
+from semiparam_ros.diagnosis.config import DEFAULTS
 from semiparam_ros.diagnosis.diagnose import diagnose
-from semiparam_ros.diagnosis.search.score import block_gains, gain
+from semiparam_ros.diagnosis.search.moves import Move, simplest
+from semiparam_ros.diagnosis.search.score import Gain, block_gains, gain
 from semiparam_ros.diagnosis.search.stepwise import starting_fit
 from semiparam_ros.diagnosis.text_report import summary, text_report
 from semiparam_ros.effects import kinds
@@ -106,3 +109,16 @@ def test_a_load_that_stays_is_not_ended():
     known = kinds()['payload']('tool', span=Span(0.3 * END_S))
     found = diagnose(BODY, carrying((0.3 * END_S, None)), [known], only=ONLY)
     assert found.verdict == 'nothing_missing' and not found.declared[0].effect.ends
+
+
+def test_rounding_tells_no_times_apart(monkeypatch):
+    """A zero that jumped was told until that time, with the opposite sign, where the last digit fell so."""
+    monkeypatch.setattr('semiparam_ros.diagnosis.search.moves.gain', lambda *_: Gain(1e-9, 0.0))
+
+    def move(span, total):
+        offset = kinds()['effort_offset']('turn', span=span)
+        after = SimpleNamespace(effects=(offset,), body=BODY, config=DEFAULTS)
+        return Move((offset,), after, Gain(total, 0.0), 10.0)
+
+    since, until = move(Span(5.0), 30.0), move(Span(end_s=5.0), 30.0 + 1e-9)
+    assert simplest([until, since]) is since

@@ -11,7 +11,7 @@ from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.diagnosis.config import DEFAULTS
 from semiparam_ros.diagnosis.data.splits import block_sums
-from semiparam_ros.diagnosis.imitations import function_explains_more
+from semiparam_ros.diagnosis.diagnose import function_explains_more
 from semiparam_ros.diagnosis.residual.flexible import fold_labels, predictions, random_features
 from semiparam_ros.diagnosis.residual.formula import find_formula, library
 from semiparam_ros.diagnosis.residual.noise import coloured_noise

@@ -9,6 +9,7 @@ from semiparam_ros.cli.main import main
 from semiparam_ros.diagnosis.diagnose import diagnose
 from semiparam_ros.diagnosis.regression import fit_model
 from semiparam_ros.diagnosis.search.candidates import candidates
+from semiparam_ros.diagnosis.search.scoring import coarse
 from semiparam_ros.effects import effect_from_text, kinds
 from semiparam_ros.experiments.scoreboard import body_of, samples_of
 from semiparam_ros.settings import load_params
@@ -76,5 +77,5 @@ def test_nobody_looks_for_it_where_no_temperature_changes(change):
     if change != 'none recorded':
         samples.temperature[:] = 30.0 if change == 'constant' else np.nan
     fit = fit_model(body_of(recording), samples, [], np.ones(300, dtype=bool), np.ones(4))
-    tried = {candidate.kind.kind for candidate in candidates(fit, kinds('effort'))}
+    tried = {trial.effect.kind for trial in coarse(fit, candidates(fit, kinds('effort')), lambda words, share: None)}
     assert 'viscous_friction' in tried and 'temperature_friction' not in tried

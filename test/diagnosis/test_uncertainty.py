@@ -8,7 +8,7 @@ import pytest
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.diagnosis.preparation import Inputs
 from semiparam_ros.diagnosis.regression import fit_model, refit_weights
-from semiparam_ros.diagnosis.search.all_samples import fitted_to_all
+from semiparam_ros.diagnosis.search.refit import fitted_to_all
 from semiparam_ros.diagnosis.uncertainty import estimates
 from semiparam_ros.effects import kinds
 from support.arms import ODD_ARM, ODD_JOINTS, smooth_motion

@@ -11,8 +11,7 @@ from matplotlib.colors import to_hex
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.diagnosis.diagnose import diagnose
 from semiparam_ros.diagnosis.regression import fit_model
-from semiparam_ros.diagnosis.residual.dependence import Dependence
-from semiparam_ros.diagnosis.residual.formula import Formula, Summand
+from semiparam_ros.diagnosis.residual.formula import Dependence, Formula, Summand
 from semiparam_ros.diagnosis.residual.structure import Structure
 from semiparam_ros.diagnosis.search.scoring import Trial
 from semiparam_ros.diagnosis.search.stepwise import Rival, Step
@@ -328,21 +327,21 @@ def test_the_bars_are_the_ranking_with_the_chosen_one_marked(loaded):
     assert lengths == sorted(lengths, reverse=True)
     assert lengths == [trial.evidence for trial in figures.foremost(step)]
     assert [name for name, colour in colours.items() if colour == figures.CHOSEN] == [
-        f'payload at {trial.effect.where}' for trial in step.added]
+        f'payload at {effect.where}' for effect in step.added]
 
 
 def test_what_was_added_is_shown_however_far_down_it_ranked():
     def trial(number, evidence):
         effect = kinds()['viscous_friction'](f'joint{number}', {})
-        return Trial(effect, np.zeros((1, 1)), 1, evidence=evidence)
+        return Trial(effect, 1, np.zeros(1), evidence=evidence)
 
     ranking = tuple(trial(number, 100.0 - 10.0 * number) for number in range(12))
-    step = Step(added=(ranking[0], ranking[11]), rivals=((Rival('viscous_friction', 'joint3', 0.5),), ()),
+    step = Step(added=(ranking[0].effect, ranking[11].effect), rivals=(Rival('viscous_friction', 'joint3', 0.5),),
                 ranking=ranking, before=None, after=None)
     shown = figures.foremost(step)
     assert shown == list(ranking[:figures.MOST_BARS])  # nothing is shown that explains nothing
     better = tuple(replace(each, evidence=each.evidence + 50.0) for each in ranking)
-    step = replace(step, added=(better[0], better[11]), ranking=better)
+    step = replace(step, added=(better[0].effect, better[11].effect), ranking=better)
     assert figures.foremost(step) == [*better[:figures.MOST_BARS], better[11]]
     bars = figures.candidates_of(step, 2).axes[0].patches
     assert [to_hex(bar.get_facecolor()) for bar in bars] == [

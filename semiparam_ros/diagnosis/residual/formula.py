@@ -1,4 +1,6 @@
-"""A sparse formula for one output channel, from named terms that the effect kind ``terms`` understands."""
+"""Which variables the structure in a residual depends on, by forward selection, and a sparse formula
+for one output channel, from named terms that the effect kind ``terms`` understands. Unseen blocks
+judge both."""
 
 from __future__ import annotations
 
@@ -13,8 +15,69 @@ from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
-from semiparam_ros.diagnosis.residual.flexible import fold_labels
+from semiparam_ros.diagnosis.residual.flexible import (
+    StandardisedInputs,
+    bells,
+    fold_labels,
+    predictions,
+    random_features,
+)
 from semiparam_ros.effects.terms import Terms, term_unit, term_values
+
+
+class Dependence(NamedTuple):
+    """A variable (q_, dq_, ddq_ and a joint, or time) and the share of the residual that it adds to those before it."""
+
+    name: str
+    share: float
+
+
+def dependences(motion: StandardisedInputs, targets: Array, within_reach: float) -> tuple[Dependence, ...]:
+    """Variables of which a smooth function predicts targets (M, k), the most telling first.
+
+    :param within_reach: share of the targets that a function of all variables predicts.
+    """
+    config, power = motion.config, float(np.sum(targets**2)) + 1e-300
+    chosen, found, reached = list[int](), list[Dependence](), 0.0
+
+    def share(added: tuple[int, ...]) -> float:
+        """Share of the squared targets that these and those chosen predict on unseen blocks."""
+        predicted = predictions(_features(motion, [*chosen, *added]), targets, config)
+        return 1.0 - float(np.sum((targets - predicted) ** 2)) / power
+
+    while len(chosen) < config.most_variables:
+        others = [index for index in range(len(motion.names)) if index not in chosen]
+        shares: dict[tuple[int, ...], float] = {(index,): share((index,)) for index in others}
+        if not chosen and max(shares.values()) < config.most * within_reach:
+            # A product of two variables with means of zero shows in neither of them.
+            shares |= {pair: share(pair) for pair in combinations(others, 2)}
+        best = max(shares, key=lambda added: shares[added] * _plainness(motion, added))
+        gained = shares[best] - reached
+        if gained < config.variable_share * max(within_reach, reached):
+            break
+        chosen += best
+        found += [Dependence(motion.names[index], gained / len(best)) for index in best]
+        reached = shares[best]
+    return tuple(found)
+
+
+def _plainness(motion: StandardisedInputs, added: tuple[int, ...]) -> float:
+    """Among near equals a position is preferred to a velocity, and that to an acceleration, which noise spoils."""
+    order = [('q', 'time', 'dq', 'ddq').index(motion.names[index].split('_')[0]) for index in added]
+    return (1.0 - motion.config.variable_share * sum(order)) / (1.0 if len(added) == 1 else motion.config.pair_worth)
+
+
+def _features(motion: StandardisedInputs, chosen: Sequence[int]) -> Array:
+    """Functions of each chosen variable, of all of them together, and of each with a slowly changing coefficient."""
+    config, time = motion.config, len(motion.names) - 1
+    parts = [bells(motion.values[:, index], config.bells) for index in chosen]
+    if len(chosen) > 1:
+        parts.append(random_features(motion.values[:, list(chosen)], 3 * config.bells * len(chosen),
+                                     config.motion_scales[0], len(chosen)))
+    if time in chosen:
+        slow = motion.of_time(config.slow_waves)
+        parts += [slow, *(motion.values[:, [index]] * slow for index in chosen if index != time)]
+    return np.column_stack(parts)
 
 
 class Summand(NamedTuple):
@@ -92,14 +155,12 @@ def find_formula(variables: Sequence[str], body: RigidBody, samples: Samples, va
 
     Orthogonal matching pursuit puts the terms in order; blocks left out of the fit say how many of them to keep.
     """
-    names = library(variables, body, samples, config)
+    terms = {name: term_values(name, body, samples)
+             for name in library(variables, body, samples, config)}
+    names = [name for name, each in terms.items() if each.std() > 1e-9]
     if not names:
         return None
-    columns = np.column_stack([term_values(name, body, samples) for name in names])
-    usable = columns.std(axis=0) > 1e-9
-    names, columns = [name for name, keep in zip(names, usable, strict=True) if keep], columns[:, usable]
-    if not names:
-        return None
+    columns = np.column_stack([terms[name] for name in names])
     shares = _held_out_shares(columns, values, config)
     if shares.max() < config.channel_share:
         return None

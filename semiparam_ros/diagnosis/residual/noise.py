@@ -25,6 +25,8 @@ from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array, Mask
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
 from semiparam_ros.diagnosis.data.outliers import typical_step
+from semiparam_ros.diagnosis.data.splits import autocovariance
+from semiparam_ros.diagnosis.regression import Fit, refit_weights, refitted
 
 WHITENING = 1e-9
 """Share of the power that keeps the equations of a residual that is nearly periodic solvable."""
@@ -53,8 +55,7 @@ def coloured_noise(residual: Array, count: int, seed: int = 0, config: Diagnosis
 
 def _autoregression(values: Array, order: int) -> tuple[Array, float]:
     """(order,) weights of the past values, and the standard deviation of what they do not predict (Yule-Walker)."""
-    spectrum = np.abs(np.fft.rfft(values - values.mean(), 2 * len(values))) ** 2
-    covariance = np.fft.irfft(spectrum)[:order + 1] / len(values)
+    covariance = autocovariance(values)[:order + 1] / len(values)
     if covariance[0] <= 0.0:
         return np.zeros(order), 0.0
     covariance[0] *= 1.0 + WHITENING
@@ -85,3 +86,49 @@ def resmoothed(samples: Samples, window: int, degree: int) -> Samples:
     return replace(samples, position=smooth(samples.position, window, degree, axis=0),
                    velocity=smooth(samples.velocity, window, degree, axis=0),
                    acceleration=smooth(samples.velocity, window, degree, deriv=1, delta=step, axis=0))
+
+
+def inertia_columns(body: RigidBody, samples: Samples, psi: Array) -> Array:
+    """(N, n, n_joints) what an acceleration of one would add to the outputs, with base parameters
+    psi (p,)."""
+    still, columns = body.outputs_of(samples, psi), []
+    for joint in range(body.n_joints):
+        moved = samples.acceleration.copy()
+        moved[:, joint] += 1.0
+        columns.append(body.outputs_of(replace(samples, acceleration=moved), psi) - still)
+    return np.stack(columns, axis=2)
+
+
+def with_error_columns(fit: Fit) -> Fit:
+    """The model with a column for each joint and each other smoothing: what that acceleration would
+    change.
+
+    A smoother takes a little of the motion for noise and leaves some of the noise. Both errors
+    reach the outputs through the inertia matrix, are of the size of sensor noise where a fast
+    motion is recorded at 20 Hz, and are a function of the motion: a small force beside the true
+    effect explains some of them. Between accelerations smoothed more and less there is the same
+    error, only larger, joint by joint. Whatever a search adds must explain more than these columns.
+    """
+    body, inputs = fit.corrected
+    inertia = inertia_columns(body, inputs, fit.rigid_part)
+    columns = [inertia * errors[:, None] for errors in _differences(inputs, fit.config)]
+    return refit_weights(refitted(fit, fit.effects, np.concatenate(columns, axis=2), fit.counted))
+
+
+def without_error_columns(fit: Fit) -> Fit:
+    """The same effects fitted to the motion as it is."""
+    if fit.nuisance is None:
+        return fit
+    return refit_weights(refitted(fit, fit.effects, None, fit.counted))
+
+
+def _differences(samples: Samples, config: DiagnosisConfig) -> Array:
+    """(windows, N, n_joints) accelerations smoothed over each window of samples, less those that there are."""
+    found = np.zeros((len(config.resmoothing_windows), *samples.acceleration.shape))
+    for part in samples.recordings:
+        alone = replace(samples[part], breaks=())
+        for number, window in enumerate(config.resmoothing_windows):
+            if len(alone) >= window:
+                other = resmoothed(alone, window, config.resmoothing_degree)
+                found[number, part] = other.acceleration - alone.acceleration
+    return found

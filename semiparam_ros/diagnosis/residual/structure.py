@@ -10,9 +10,8 @@ from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array, Mask, Stamps
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
-from semiparam_ros.diagnosis.residual.dependence import Dependence, dependences
 from semiparam_ros.diagnosis.residual.flexible import StandardisedInputs, explained
-from semiparam_ros.diagnosis.residual.formula import Formula, find_formula
+from semiparam_ros.diagnosis.residual.formula import Dependence, Formula, dependences, find_formula
 from semiparam_ros.diagnosis.residual.noise import coloured_noise, without_input_errors
 from semiparam_ros.effects.terms import Terms
 

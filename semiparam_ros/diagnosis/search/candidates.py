@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -13,7 +12,6 @@ from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array
 from semiparam_ros.diagnosis.regression import Fit, predicted
 from semiparam_ros.effects import Effect
-from semiparam_ros.effects.base import Values
 
 DERIVATIVE_STEP = 1e-3
 """Half the difference [rad, s or 1] that stands for a derivative: dry friction that turns over between two samples is
@@ -22,25 +20,11 @@ Place = tuple[str, str | None, float | None]
 """Kind and place of an effect, and when it began where several may come one after the other, as loads do."""
 
 
-@dataclass(frozen=True)
-class Candidate:
-    """An effect at one place, with the coarse values of its nonlinear parameters and its options to try."""
-
-    kind: type[Effect]
-    where: str | None
-    searches: tuple[Values, ...]
-
-
-def candidates(fit: Fit, kinds: dict[str, type[Effect]]) -> Iterator[Candidate]:
+def candidates(fit: Fit, kinds: dict[str, type[Effect]]) -> list[tuple[type[Effect], str | None]]:
     """Every kind at every place of the robot, without those that are declared already and cannot come twice."""
-    body, samples = fit.body, fit.samples
     declared = held(fit.effects)
-    for name, kind in kinds.items():
-        for where in kind.places(body):
-            if (name, where) not in declared:
-                searches = kind.searches(body, samples, where, fit.residual)
-                if searches:  # else nothing was recorded that it depends on
-                    yield Candidate(kind, where, tuple(dict(values) for values in searches))
+    return [(kind, where) for name, kind in kinds.items() for where in kind.places(fit.body)
+            if (name, where) not in declared]
 
 
 def identity(effect: Effect) -> Place:
@@ -59,27 +43,26 @@ def added_columns(fit: Fit, effect: Effect) -> Array:
     if effect.is_calibration:
         values = {**{name: 0.0 for name, _ in effect.calibrations}, **effect.values}
         key = effect.kind, effect.where, *values.items()
-        if key not in fit.derivatives:
-            fit.derivatives[key] = _derivatives(fit, effect)
-        return fit.derivatives[key]
+        if key not in fit.asked:
+            fit.asked[key] = _derivatives(fit, effect)
+        return np.asarray(fit.asked[key])
     return effect.columns(*fit.corrected, None)[0]
 
 
 def _derivatives(fit: Fit, effect: Effect) -> Array:
-    names = [coefficient.name for coefficient in effect.calibrations]
+    """(N, n, c) central differences of the prediction by the calibrations, where they are."""
+    rest = others(fit, effect)  # without what the effect has shaped already
     still = type(effect).correct is Effect.correct
-    load = _rigid_prediction(fit, others(fit, effect)) if still else None  # without what the effect has shaped already
-    return np.stack([_derivative(fit, effect, name, load) for name in names], axis=2)
+    load = _shaped_load(fit, rest, *_corrected(fit, rest)) if still else None
 
-
-def _derivative(fit: Fit, effect: Effect, name: str, load: Array | None) -> Array:
-    """(N, n) central difference of the prediction by one calibration, at its present value."""
-    sides = []
-    for step in (DERIVATIVE_STEP, -DERIVATIVE_STEP):
+    def prediction(name: str, step: float) -> Array:
         moved = effect.with_values(**{name: effect.value(name) + step})
-        sides.append(moved.transform(fit.body, load) if load is not None
-                     else _prediction(fit, [*others(fit, effect), moved], effect.moves_friction))
-    return np.asarray((sides[0] - sides[1])[:, :, 0] / (2.0 * DERIVATIVE_STEP))
+        return moved.transform(fit.body, load) if load is not None else \
+            _prediction(fit, [*rest, moved], effect.moves_friction)
+
+    step = DERIVATIVE_STEP
+    return np.concatenate([(prediction(name, step) - prediction(name, -step)) / (2.0 * step)
+                           for name, _ in effect.calibrations], axis=2)
 
 
 def others(fit: Fit, effect: Effect) -> list[Effect]:
@@ -87,13 +70,9 @@ def others(fit: Fit, effect: Effect) -> list[Effect]:
     return [known for known in fit.effects if identity(known) != identity(effect)]
 
 
-def _rigid_prediction(fit: Fit, effects: list[Effect]) -> Array:
-    """(N, n, 1) outputs of the rigid body and of what it carries, as the effects correct and shape it."""
-    return _shaped_load(fit, effects, *_corrected(fit, effects))
-
-
 def _prediction(fit: Fit, effects: list[Effect], whole: bool) -> Array:
-    """(N, n, 1) the same, or outputs of the whole model: late efforts bring late friction with them."""
+    """(N, n, 1) outputs of the rigid body and of what it carries, as the effects correct and shape
+    it, or of the whole model: late efforts bring late friction with them."""
     body, inputs = _corrected(fit, effects)
     load = _shaped_load(fit, effects, body, inputs)
     return load + _of_effects(fit, body, inputs, loads=False) if whole else load

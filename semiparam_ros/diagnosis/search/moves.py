@@ -5,14 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import replace
-from itertools import chain
 from typing import NamedTuple
 
 from semiparam_ros.diagnosis.data.recordings import breaks_s
 from semiparam_ros.diagnosis.regression import Fit, with_effects
-from semiparam_ros.diagnosis.search.candidates import Candidate, Place, added_columns, identity, others
-from semiparam_ros.diagnosis.search.plausibility import all_plausible, without_impossible
-from semiparam_ros.diagnosis.search.prior_odds import prices
+from semiparam_ros.diagnosis.search.candidates import Place, added_columns, identity, others
+from semiparam_ros.diagnosis.search.plausibility import all_plausible, prices, without_impossible
 from semiparam_ros.diagnosis.search.refit import declare
 from semiparam_ros.diagnosis.search.revision import formed_anew, pruned, reshaped
 from semiparam_ros.diagnosis.search.score import Gain, gain
@@ -50,21 +48,19 @@ def _plausible_moves(fit: Fit, after: Fit, added: Sequence[Effect], kinds: Colle
 
 def single_moves(fit: Fit, ranking: Sequence[Trial], kinds: Collection[str]) -> list[Move]:
     """Each of the foremost trials by itself, with each of its times."""
-    moves = list[Move]()
-    foremost = [trial for trial in ranking[:fit.config.tried] if trial.evidence > 0.0]
-    for trial in chain.from_iterable(_at_each_time(fit, trial) for trial in foremost):
-        moves += _plausible_moves(fit, declare(fit, [trial.effect]), [trial.effect], kinds)
-    return moves
+    foremost = [trial.effect for trial in ranking[:fit.config.tried] if trial.evidence > 0.0]
+    return [move for effect in foremost for timed in _at_each_time(fit, effect)
+            for move in _plausible_moves(fit, declare(fit, [timed]), [timed], kinds)]
 
 
-def _at_each_time(fit: Fit, trial: Trial) -> list[Trial]:
-    """The trial, and the same effect always, from a start on, until an end and between both, where it may be so."""
-    effect = trial.effect
+def _at_each_time(fit: Fit, effect: Effect) -> list[Effect]:
+    """The effect, and the same always, from a start on, until an end and between both, where it may
+    be so."""
     if not effect.changes:
-        return [trial]
-    columns = added_columns(fit, effect.without_span())
-    spans = [span for span in best_spans(fit, effect, columns) if span.values.keys() != effect.span.values.keys()]
-    return [trial, *(replace(trial, effect=replace(effect, span=span)) for span in spans)]
+        return [effect]
+    spans = best_spans(fit, effect, added_columns(fit, effect.without_span()))
+    return [effect, *(replace(effect, span=span) for span in spans
+                      if span.values.keys() != effect.span.values.keys())]
 
 
 def repeated_moves(fit: Fit, ranking: Sequence[Trial], kinds: dict[str, type[Effect]]) -> list[Move]:
@@ -75,8 +71,7 @@ def repeated_moves(fit: Fit, ranking: Sequence[Trial], kinds: dict[str, type[Eff
                 and identity(trial.effect) not in known}
     for trial in foremost.values():
         once, where = declare(fit, [trial.effect]), trial.effect.where
-        searches = tuple(type(trial.effect).searches(fit.body, fit.samples, where, once.residual))
-        again = coarse_trial(once, Candidate(type(trial.effect), where, searches))
+        again = coarse_trial(once, type(trial.effect), where)
         if again is not None and identity(again.effect) not in {*known, identity(trial.effect)}:
             moves += _plausible_moves(fit, declare(once, [again.effect]), [trial.effect, again.effect], kinds)
     return moves
@@ -141,16 +136,15 @@ def simplest(moves: Sequence[Move]) -> Move:
     best = max(moves, key=lambda move: move.net)
     alike = [move for move in moves if len(move.added) == 1 == len(best.added)
              and (move is best or _alike(move, best))]
-    return min(alike, key=lambda move: (_spent(move), move.added[0].ends, -move.net)) if alike else best
+    return min(alike, key=lambda move: (
+        sum(values_of(effect, move.after) for effect in move.after.effects), move.added[0].ends,
+        -move.net)) if alike else best
 
 
 def _alike(one: Move, other: Move) -> bool:
+    """Whether no block tells them apart, nor rounding: an offset from a time on is one until then."""
     difference = gain(one.after, other.after)
-    return difference.total < difference.error
-
-
-def _spent(move: Move) -> int:
-    return sum(values_of(effect, move.after) for effect in move.after.effects)
+    return difference.total < max(difference.error, one.after.config.settled_gain)
 
 
 def values_of(effect: Effect, fit: Fit) -> int:

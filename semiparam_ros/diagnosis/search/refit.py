@@ -1,22 +1,70 @@
-"""The model with further effects: what is not linear settled by Gauss-Newton, loads named, weights its own."""
+"""The model with further effects: what is not linear settled by Gauss-Newton, loads named, weights
+its own.
+
+After the judgement it is fitted once more to all samples, its times searched to the sample. What
+judges must not fit. But a time inside a block that was held out is known to that block only, and
+what is declared from then on should rest on everything that was recorded.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
-from semiparam_ros.core.types import Array
-from semiparam_ros.diagnosis.regression import (
-    CoefficientPrior,
-    Fit,
-    refit_weights,
-    refitted,
-    with_effects,
-)
+from semiparam_ros.core.types import Array, Mask
+from semiparam_ros.diagnosis.data.recordings import breaks_s
+from semiparam_ros.diagnosis.regression import Fit, predicted, refit_weights, refitted, with_effects
 from semiparam_ros.diagnosis.search.candidates import added_columns, held, identity
-from semiparam_ros.diagnosis.search.shapes import Shape, shape_columns, shapes_of
+from semiparam_ros.diagnosis.search.spans import around, with_best_edge
 from semiparam_ros.effects import Effect
+from semiparam_ros.effects.application_point import POINT
+
+DIFFERENCE = 1e-3
+"""Difference that stands for a derivative, over the range in which a line search looks."""
+POINT_REACH = 0.1
+"""The same range of a point of application [m]."""
+
+
+class Shape(NamedTuple):
+    """One nonlinear value of the effect with this number, and the range in which a line search looks for it."""
+
+    number: int
+    name: str
+    low: float
+    high: float
+
+
+def shapes_of(fit: Fit, found: Collection[int]) -> list[Shape]:
+    """The nonlinear values of the effects with these numbers."""
+    shapes = []
+    for number in found:
+        effect = fit.effects[number]
+        for name in () if effect.is_calibration else effect.searched:
+            value = effect.value(name)
+            low, high = (value - POINT_REACH, value + POINT_REACH) if name in POINT \
+                else effect.bounds(name, fit.body, fit.samples, fit.residual)
+            if low < high:
+                shapes.append(Shape(number, name, low, high))
+    return shapes
+
+
+def shape_columns(fit: Fit, shapes: list[Shape]) -> Array:
+    """(N, n, len(shapes)) derivatives of the prediction by the values, at the fitted coefficients."""
+    blocks, slopes = fit.assembly.blocks, [np.zeros((*fit.residual.shape, 0))]
+    for number, name, low, high in shapes:
+        effect, step = fit.effects[number], DIFFERENCE * (high - low)
+        ahead, behind = (_columns(fit, effect.with_values(**{name: effect.value(name) + change}))
+                         for change in (step, -step))
+        slope = predicted(ahead - behind, fit.theta[blocks[str(number)]]) / (2.0 * step)
+        slopes.append(slope[:, :, None])
+    return np.concatenate(slopes, axis=2)
+
+
+def _columns(fit: Fit, effect: Effect) -> Array:
+    return effect.columns(*fit.corrected, None)[0]
 
 
 def gauss_newton(fit: Fit, moving: Sequence[Effect], found: Collection[int] = ()) -> Fit:
@@ -60,16 +108,18 @@ def settled(fit: Fit, found: Collection[int]) -> Fit:
 def objective(fit: Fit) -> float:
     """Twice the negative log posterior of a model's calibrations, but for a constant: what it leaves, and how far they
     are from nothing."""
-    prior = prior_of_steps(fit, [effect for effect in fit.effects if effect.is_calibration])
-    return fit.loss + float(prior.precision @ prior.mean**2)
+    calibrations = [effect for effect in fit.effects if effect.is_calibration]
+    mean, precision = prior_of_steps(fit, calibrations)
+    return fit.loss + float(precision @ mean**2)
 
 
-def prior_of_steps(fit: Fit, moving: Sequence[Effect], free: int = 0) -> CoefficientPrior:
-    """That of further changes of ``free`` values of which nothing is known, and of calibrations, which are about zero
-    beforehand. Neighbouring samples repeat each other, so it weighs as much more."""
+def prior_of_steps(fit: Fit, moving: Sequence[Effect], free: int = 0) -> tuple[Array, Array]:
+    """Means and precisions of further changes of ``free`` values of which nothing is known, and of
+    calibrations, which are about zero beforehand. Neighbouring samples repeat each other, so these
+    weigh as much more."""
     values = np.concatenate([np.zeros(free), *(calibrated_values(effect) for effect in moving)])
     spread = np.concatenate([np.full(free, np.inf), *(effect.calibration_scale(fit.body) for effect in moving)])
-    return CoefficientPrior(-values, float(fit.correlation.mean()) * spread**-2.0)
+    return -values, float(fit.correlation.mean()) * spread**-2.0
 
 
 def _moved(fit: Fit, shapes: Sequence[Shape], calibrations: Sequence[Effect], steps: Array) -> Fit:
@@ -145,3 +195,31 @@ def _relocated(fit: Fit) -> Fit:
     for index, effect in enumerate(effects):
         effects[index] = effect.relocated(fit.body, fit.theta[blocks[str(index)]])
     return fit if effects == list(fit.effects) else with_effects(fit, effects)
+
+
+def fitted_to_all(fit: Fit, usable: Mask, found: Collection[int]) -> Fit:
+    """The same effects in the same order, fitted to all usable samples (N,).
+
+    :param found: numbers of the effects that were found, whose times are searched again near where they are, and whose
+        nonlinear values are settled.
+    """
+    everything = replace(fit, train_mask=usable)
+    effects = list(fit.effects)
+    for number in found:
+        effects[number] = _timed_anew(everything, effects, number)
+    return _without_common_gain(settled(declare(with_effects(everything, effects), []), found))
+
+
+def _without_common_gain(fit: Fit) -> Fit:
+    """The same model with gains as :meth:`Effect.without_common_gain` has them, unless a known mass tells them."""
+    effects = [effect.without_common_gain() for effect in fit.effects]
+    return fit if fit.knows_mass or effects == list(fit.effects) else refit_weights(with_effects(fit, effects))
+
+
+def _timed_anew(fit: Fit, effects: list[Effect], number: int) -> Effect:
+    effect = effects[number]
+    rest = with_effects(fit, [*effects[:number], *effects[number + 1:]])
+    for name, time_s in effect.span.values.items():
+        if time_s not in breaks_s(fit.samples):
+            effect = with_best_edge(rest, effect, name, around(fit, time_s))
+    return effect

@@ -6,16 +6,16 @@ import math
 from collections.abc import Collection
 
 from semiparam_ros.diagnosis.regression import Fit, with_effects
-from semiparam_ros.diagnosis.search.candidates import Candidate, Place, held, identity, others
-from semiparam_ros.diagnosis.search.plausibility import all_plausible
-from semiparam_ros.diagnosis.search.prior_odds import price, prices, usual
+from semiparam_ros.diagnosis.search.candidates import Place, held, identity, others
+from semiparam_ros.diagnosis.search.plausibility import all_plausible, price, prices, usual
 from semiparam_ros.diagnosis.search.refit import declare, following, settled
 from semiparam_ros.diagnosis.search.score import gain, worth
 from semiparam_ros.diagnosis.search.scoring import coarse_trial, line_searched
 
 
 def bent(fit: Fit, places: Collection[Place], kinds: Collection[str]) -> Fit:
-    """The model with the nonlinear values of the effects at some places at their best, beside all others.
+    """The model with the nonlinear values of the effects at some places at their best, beside all
+    others, where that helps on unseen blocks.
 
     Values of a form that are left as they usually are open where that gains more than they are worth as guesses.
     """
@@ -28,8 +28,9 @@ def bent(fit: Fit, places: Collection[Place], kinds: Collection[str]) -> Fit:
     if opened:
         price_of_guesses = len(opened) * math.log(max(len(kinds), 1))
         tried.append((settled(_opened(fit, opened), numbers), price_of_guesses))
-    options = [(0.0, fit), *((gain(fit, after).total - spent, after) for after, spent in tried
-                             if all_plausible(fit, after))]
+    options = [(fit.config.settled_gain, fit), *(
+        (gain(fit, after).total - spent, after) for after, spent in tried
+        if all_plausible(fit, after))]
     return max(options, key=lambda option: option[0])[1]
 
 
@@ -47,24 +48,19 @@ def _opened(fit: Fit, numbers: Collection[int]) -> Fit:
 
 
 def reshaped(fit: Fit, fixed: Collection[Place], kinds: Collection[str]) -> Fit:
-    """The model with the nonlinear values of all effects that were found at their best together, where that helps on
-    unseen blocks."""
-    after = bent(fit, [identity(effect) for effect in fit.effects if identity(effect) not in fixed], kinds)
-    better = after is not fit and gain(fit, after).total > fit.config.settled_gain
-    return after if better else fit
+    """:func:`bent` of all effects that were found."""
+    return bent(fit, {identity(effect) for effect in fit.effects}.difference(fixed), kinds)
 
 
 def formed_anew(fit: Fit, fixed: Collection[Place]) -> Fit:
     """The model with each effect that was found at the best of its coarse forms beside all the others."""
     after = fit
     for effect in fit.effects:
-        searches = tuple(dict(values) for values in effect.searches(
-            fit.body, fit.samples, effect.where, fit.residual))
-        if identity(effect) in fixed or effect.is_calibration or len(searches) < 2 \
-                or effect.span.values or not effect.searched:
+        if identity(effect) in fixed or effect.is_calibration or effect.span.values \
+                or not effect.searched:
             continue
         without = with_effects(after, others(after, effect))
-        trial = coarse_trial(without, Candidate(type(effect), effect.where, searches))
+        trial = coarse_trial(without, type(effect), effect.where)
         if trial is not None:
             other = with_effects(without, [*without.effects, trial.effect])
             after = other if other.loss < after.loss else after

@@ -19,14 +19,13 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 from typing import NamedTuple
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from semiparam_ros.core.types import Array, Indices
 from semiparam_ros.diagnosis.data.recordings import breaks_s
 from semiparam_ros.diagnosis.regression import Fit
-from semiparam_ros.diagnosis.search.candidates import Place, added_columns, identity
+from semiparam_ros.diagnosis.search.candidates import added_columns, identity
 from semiparam_ros.diagnosis.search.refit import calibrated_values, told_by_sliding
 
 
@@ -148,17 +147,13 @@ def block_edges(fit: Fit, times_s: Collection[float] = ()) -> Array:
     return np.asarray(used[np.concatenate(edges)[1:]])
 
 
-_known: WeakKeyDictionary[Fit, dict[bytes, BlockGrams]] = WeakKeyDictionary()
-"""Those asked for before; a fit that nobody needs any longer is not kept for them."""
-
-
 def grams_of(fit: Fit, edges: Array) -> BlockGrams:
     """:func:`block_grams`, computed once."""
-    known = _known.setdefault(fit, {})
     key = edges.tobytes()
-    if key not in known:
-        known[key] = block_grams(fit, edges)
-    return known[key]
+    if key not in fit.asked:
+        fit.asked[key] = block_grams(fit, edges)
+    found: BlockGrams = fit.asked[key]
+    return found
 
 
 def gain(before: Fit, after: Fit, times_s: Collection[float] = ()) -> Gain:
@@ -178,25 +173,20 @@ def block_gains(before: Fit, after: Fit, times_s: Collection[float] = ()) -> Arr
 
     Models of which one has a calibration that moves friction are compared where joints slide.
     """
-    if _told_by_sliding(before) != _told_by_sliding(after):
+    moving, others = ({identity(effect) for effect in fit.effects if told_by_sliding(fit, effect)}
+                      for fit in (before, after))
+    if moving != others:
         before, after = before.sliding, after.sliding
     edges, repeated = block_edges(before, times_s), repetition(after)
-    return _least([_densities(after, edges, repeated, taken) - _densities(before, edges, repeated, taken)
-                   for taken in _views(before)])
+    densities = [[_densities(fit, edges, repeated, gone) for gone in _views(fit)]
+                 for fit in (after, before)]
+    return min((one - other for one, other in zip(*densities, strict=True)), key=np.sum)
 
 
-def _told_by_sliding(fit: Fit) -> list[Place]:
-    return sorted(identity(effect) for effect in fit.effects if told_by_sliding(fit, effect))
-
-
-def _views(fit: Fit) -> tuple[bool, ...]:
-    """Whether columns for errors of the inputs are taken: with and without them, where the model has such."""
-    return (True,) if fit.nuisance is None else (True, False)
-
-
-def _least(gains: list[Array]) -> Array:
-    """The smallest in all of the gains (B,) in several views."""
-    return min(gains, key=lambda each: float(each.sum()))
+def _views(fit: Fit) -> list[Indices]:
+    """Columns to leave out: none, and those for errors of the inputs where the model has such."""
+    none, errors = np.zeros(0, dtype=int), 0 if fit.nuisance is None else fit.nuisance.shape[2]
+    return [none, fit.n_columns - 1 - np.arange(errors)][:1 + bool(errors)]
 
 
 def repetition(fit: Fit) -> Array:
@@ -207,12 +197,9 @@ def repetition(fit: Fit) -> Array:
     return np.asarray(fit.correlation * (1.0 + independent / fit.config.coarseness))
 
 
-def _densities(fit: Fit, edges: Array, correlation: Array, nuisance: bool = True,
-               without: Indices | None = None) -> Array:
-    """(B,) of a model, perhaps without its columns for errors of the inputs, or without some other columns."""
-    grams, gone = grams_of(fit, edges), np.zeros(0, dtype=int) if without is None else without
-    if fit.nuisance is not None and not nuisance:
-        gone = np.append(gone, fit.n_columns - 1 - np.arange(fit.nuisance.shape[2]))
+def _densities(fit: Fit, edges: Array, correlation: Array, gone: Indices) -> Array:
+    """(B,) of a model without some of its columns."""
+    grams = grams_of(fit, edges)
     if not len(gone):
         return grams.densities(fit.scale, correlation)
     kept = np.setdiff1d(np.arange(len(grams.prior)), gone)
@@ -240,10 +227,11 @@ def worth(fit: Fit) -> list[Gain]:
 def _worth(fit: Fit) -> list[Gain]:
     edges, repeated, gains = block_edges(fit), repetition(fit), []
     views = _views(fit)
-    whole = [_densities(fit, edges, repeated, taken) for taken in views]
+    whole = [_densities(fit, edges, repeated, gone) for gone in views]
     for columns in columns_of_effects(fit):
-        without = [_densities(fit, edges, repeated, taken, columns) for taken in views]
-        gains.append(summed(_least([one - other for one, other in zip(whole, without, strict=True)])))
+        without = [_densities(fit, edges, repeated, np.append(columns, gone)) for gone in views]
+        differences = [one - other for one, other in zip(whole, without, strict=True)]
+        gains.append(summed(min(differences, key=np.sum)))
     return gains
 
 

@@ -7,24 +7,26 @@ the effect with the most columns.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import partial
 
 import numpy as np
 from scipy.optimize import minimize_scalar
 
 from semiparam_ros.core.robot.frames import links_beside, nearest_link
 from semiparam_ros.core.types import Array
-from semiparam_ros.diagnosis.data.correlation import correlation_times
+from semiparam_ros.diagnosis.data.splits import correlation_times
 from semiparam_ros.diagnosis.regression import Fit, reweighted, with_effects
-from semiparam_ros.diagnosis.search.candidates import Candidate, added_columns
+from semiparam_ros.diagnosis.search.candidates import added_columns, identity
 from semiparam_ros.diagnosis.search.refit import gauss_newton
 from semiparam_ros.diagnosis.search.spans import best_spans
 from semiparam_ros.effects import Effect
 from semiparam_ros.effects.application_point import POINT
 from semiparam_ros.effects.base import ALWAYS
 
+Progress = Callable[[str, float], None]
 POINT_DIFFERENCE = 1e-3
 """Difference of a point of application [m] that stands for a derivative."""
 
@@ -33,41 +35,36 @@ POINT_DIFFERENCE = 1e-3
 class Trial:
     """An effect tried on a declared model.
 
-    :param leaves: (N, n) residual, or what computes it: few are asked for. :param squares: (n,) sum of its squares over
-        the samples in use, where it is known. :param n_parameters: parameters it spends.
+    :param n_parameters: parameters it spends.
+    :param squares: (n,) sum of squares that it leaves of the samples in use.
+    :param residual: computes the (N, n) that it leaves, for few are asked for; None once the round
+        is over.
     """
 
     effect: Effect
-    leaves: Array | Callable[[], Array]
     n_parameters: int
+    squares: Array
+    residual: Callable[[], Array] | None = None
     physical: bool = True  # the cause can have these coefficients
     evidence: float = 0.0  # [nat] over the declared model
-    squares: Array | None = None
-
-    @cached_property
-    def residual(self) -> Array:
-        """(N, n) left; (0, n) once the round is over."""
-        return self.leaves() if callable(self.leaves) else self.leaves
 
     @property
     def many_valued(self) -> bool:
         """Whether the best value of one nonlinear parameter depends on another; a coarse search tries few."""
         return len(self.effect.searched) > 1
 
-    def without_residual(self) -> Trial:
-        """What a report needs of it: a round tries hundreds, and each leaves as many numbers as were measured."""
-        return replace(self, leaves=np.zeros((0, 0)), squares=None)
 
-
-def coarse_trial(fit: Fit, candidate: Candidate) -> Trial | None:
-    """The candidate at the best of its coarse values and starts; None when none is physical."""
+def coarse_trial(fit: Fit, kind: type[Effect], where: str | None) -> Trial | None:
+    """An effect at the best of its coarse values and starts; None when none is physical, or nothing
+    was recorded that it depends on."""
     best: tuple[float, Effect, Array] | None = None
     reference = next((known.reference for known in fit.effects if known.reference), tuple(fit.rigid_part.tolist()))
-    for values in candidate.searches:
-        effect, columns = _started(fit, candidate.kind.from_values(candidate.where, values, reference))
-        loss, coefficients = fit.loss_with(columns)
-        if (effect.is_calibration or effect.physical(coefficients)) and (best is None or loss < best[0]):
-            best = (loss, effect, columns)
+    for values in kind.searches(fit.body, fit.samples, where, fit.residual):
+        effect, columns = _started(fit, kind.from_values(where, values, reference))
+        told = fit.explain(columns)
+        physical = effect.is_calibration or effect.physical(told.coefficients)
+        if physical and (best is None or told.loss < best[0]):
+            best = told.loss, effect, columns
     return None if best is None else _fitted(fit, *best[1:])
 
 
@@ -88,13 +85,13 @@ def _linear_trial(fit: Fit, effect: Effect) -> Trial:
 
 
 def _fitted(fit: Fit, effect: Effect, columns: Array) -> Trial:
-    explained = fit.explain(columns)
-    leaves = partial(_left_by, fit, effect)
+    explained, residual = fit.explain(columns), partial(_left_by, fit, effect)
     if effect.is_calibration:
         names = [coefficient.name for coefficient in effect.calibrations]
         effect = effect.with_values(**dict(zip(names, explained.coefficients.tolist(), strict=True)))
     physical = effect.is_calibration or effect.physical(explained.coefficients)
-    return Trial(effect, leaves, explained.rank + nonlinear(effect), physical, squares=explained.squares)
+    values = len(effect.searched) + len(effect.span.values)
+    return Trial(effect, explained.rank + values, explained.squares, residual, physical)
 
 
 def _left_by(fit: Fit, effect: Effect) -> Array:
@@ -102,25 +99,15 @@ def _left_by(fit: Fit, effect: Effect) -> Array:
     return fit.explain(added_columns(fit, effect)).residual
 
 
-def _squares(fit: Fit, trial: Trial) -> Array:
-    """(n,) sum of squares that the trial leaves of the samples in use."""
-    return (fit.used(trial.residual) ** 2).sum(axis=0) if trial.squares is None else trial.squares
-
-
-def nonlinear(effect: Effect) -> int:
-    """Number of values that an effect's search chose."""
-    return len(effect.searched) + len(effect.span.values)
-
-
 def squared_loss(fit: Fit, trial: Trial) -> float:
     """Sum of squares, in scaled units, that the trial leaves of the samples in use."""
-    return float((_squares(fit, trial) / fit.scale**2).sum())
+    return float((trial.squares / fit.scale**2).sum())
 
 
 def score(fit: Fit, trial: Trial, correlation: Array) -> Trial:
     """The trial with its evidence over the declared model; channel k is correlated over correlation[k] samples."""
     counts = fit.counts / correlation
-    gain = 0.5 * float(counts @ np.log(fit.squares / _squares(fit, trial)))
+    gain = 0.5 * float(counts @ np.log(fit.squares / trial.squares))
     return replace(trial, evidence=gain - 0.5 * trial.n_parameters * float(np.log(counts.sum())))
 
 
@@ -129,7 +116,8 @@ def refined(fit: Fit, trial: Trial) -> Trial:
     near = _weighed(fit, trial)
     if trial.effect.is_calibration:
         settled = gauss_newton(with_effects(near, [*fit.effects, trial.effect]), [trial.effect])
-        return replace(trial, effect=settled.effects[-1], leaves=settled.residual, squares=settled.squares)
+        return replace(trial, effect=settled.effects[-1], residual=lambda: settled.residual,
+                       squares=settled.squares)
     best = _refined_once(near, trial)
     if trial.many_valued:
         best = _settled(fit, best)
@@ -157,7 +145,7 @@ def _refined_once(fit: Fit, trial: Trial) -> Trial:
 
 def _weighed(fit: Fit, trial: Trial) -> Fit:
     """The declared model with the weights of what the trial leaves."""
-    return reweighted(fit, fit.scale_of(trial.residual))
+    return reweighted(fit, fit.scale_of(trial.squares))
 
 
 def _at_best_link(fit: Fit, trial: Trial) -> Trial:
@@ -203,7 +191,7 @@ def line_searched(fit: Fit, effect: Effect, name: str) -> Effect:
 
     def cost(value: float) -> float:
         moved = effect.with_values(**{name: value})
-        return fit.loss_with(added_columns(fit, moved))[0]
+        return fit.explain(added_columns(fit, moved)).loss
 
     best = minimize_scalar(cost, bounds=(low, high), method='bounded',
                            options={'maxiter': fit.config.refine_evaluations})
@@ -212,13 +200,56 @@ def line_searched(fit: Fit, effect: Effect, name: str) -> Effect:
 
 def correlation_of(fit: Fit, trials: Sequence[Trial]) -> Array:
     """(n,) correlation time [samples] of each channel in what the trial that explains it best leaves of it."""
-    left = np.array([_squares(fit, trial) for trial in trials])
-    best = [fit.used(trials[index].residual)[:, channel] for channel, index in enumerate(left.argmin(axis=0))]
-    return correlation_times(np.column_stack(best), fit.config)
+    best = np.array([trial.squares for trial in trials]).argmin(axis=0)
+    left = [trials[index].residual for index in best.tolist()]
+    columns = [fit.used(residual())[:, channel] for channel, residual in enumerate(left) if residual]
+    return correlation_times(np.column_stack(columns), fit.config)
 
 
 def overlap(fit: Fit, one: Array, other: Array) -> float:
     """Cosine between what two models explain that leave residuals (N, n): 1 when they explain the same, 0 when
     different things."""
-    first, second = (fit.weighed(fit.residual - left).ravel() for left in (one, other))
+    first, second = ((fit.used(fit.residual - left) / fit.scale).ravel() for left in (one, other))
     return float(first @ second / (np.linalg.norm(first) * np.linalg.norm(second) + 1e-300))
+
+
+def coarse(fit: Fit, pool: Sequence[tuple[type[Effect], str | None]],
+           report: Progress) -> list[Trial]:
+    """Every candidate's best trial by evidence, coarse."""
+    trials = []
+    for number, (kind, where) in enumerate(pool):
+        report(kind.kind, number / len(pool))
+        trial = coarse_trial(fit, kind, where)
+        if trial is not None and trial.n_parameters:
+            trials.append(trial)
+    return _by_evidence(fit, trials) if trials else []
+
+
+def refine_foremost(fit: Fit, trials: list[Trial]) -> list[Trial]:
+    """The foremost trials refined, and the rest."""
+    if not trials:
+        return []
+    chosen = worth_refining(fit, trials)
+    best = [refined(fit, trial) for trial in chosen] + [trial for trial in trials if trial not in chosen]
+    noticeable = [trial for trial in best if trial.effect.is_noticeable(fit.samples) and trial.effect.possible]
+    return _by_evidence(fit, noticeable) if noticeable else []
+
+
+def worth_refining(fit: Fit, trials: list[Trial]) -> list[Trial]:
+    """Those worth refining: the best, calibrations, which are linear only while small, and the best of each kind with
+    many values, of which a coarse search tries few."""
+    config, kept = fit.config, list[Trial]()
+    for trial in trials:
+        same = sum(other.many_valued and other.effect.kind == trial.effect.kind for other in kept)
+        open_ended = trial.effect.is_calibration or (trial.many_valued and same < config.of_each_kind)
+        if len(kept) < config.tried or (open_ended and trial.evidence > math.log(config.odds)):
+            kept.append(trial)
+    return kept
+
+
+def _by_evidence(fit: Fit, trials: list[Trial]) -> list[Trial]:
+    """The best of each kind at each place; refinement may have led several to one place."""
+    correlation = correlation_of(fit, trials)
+    scored = sorted((score(fit, trial, correlation) for trial in trials), key=lambda trial: trial.evidence)
+    best = {identity(trial.effect): trial for trial in scored}
+    return sorted(best.values(), key=lambda trial: -trial.evidence)

@@ -14,8 +14,8 @@ import numpy as np
 from scipy.linalg import cho_solve
 
 from semiparam_ros.core.types import Array, Indices
-from semiparam_ros.diagnosis.data.correlation import correlation_times
 from semiparam_ros.diagnosis.data.recordings import breaks_s
+from semiparam_ros.diagnosis.data.splits import correlation_times
 from semiparam_ros.diagnosis.regression import ROUNDED, Fit
 from semiparam_ros.diagnosis.search.candidates import added_columns
 from semiparam_ros.effects import Effect
@@ -91,14 +91,12 @@ def best_edge(fit: Fit, columns: Array, span: Span, name: str, within_s: tuple[f
     count = len(fitting)
     low, high = np.clip(np.searchsorted(fit.samples.time[fitting], within_s), 1, count - 1).tolist()
     near = np.unique(np.linspace(low, high, fit.config.start_grid).astype(int))
-    step = int(np.diff(near).max(initial=1))
-    for finer in (max(step // 8, 1), 1, 0):
+    for _ in range(2):  # some of the samples between both times, then every one near the best
         number = np.arange(1, len(near) + 1)
         spans = np.stack([number, np.full(len(near), len(near) + 1)] if name == 'start_s' else [0 * number, number], 1)
         best = int(near[np.argmax(_explained(fit, held, fitting[np.append(0, near)], spans)[0])])
-        if step <= 1 and finer <= 1:
-            break
-        near, step = np.arange(max(best - step, 1), min(best + step + 1, count), max(finer, 1)), 2 * finer
+        step = int(np.diff(near).max(initial=1))
+        near = np.arange(max(best - step, 1), min(best + step + 1, count))
     edge = int(fitting[best - 1] + fitting[best] + 1) // 2
     return replace(other, **{name: float(fit.samples.time[edge])})
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -24,10 +25,9 @@ from semiparam_ros.diagnosis.search.moves import (
     simplest,
     single_moves,
 )
-from semiparam_ros.diagnosis.search.ranking import Progress, coarse, refine_foremost
 from semiparam_ros.diagnosis.search.revision import bent, pruned, reshaped, split
 from semiparam_ros.diagnosis.search.score import block_gains
-from semiparam_ros.diagnosis.search.scoring import Trial, overlap
+from semiparam_ros.diagnosis.search.scoring import Progress, Trial, coarse, overlap, refine_foremost
 from semiparam_ros.effects import Effect
 from semiparam_ros.effects.base import place
 
@@ -42,10 +42,11 @@ class Rival(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Step:
-    """One round: the effects added, the rivals of each, the trials by evidence, and effects that it made needless."""
+    """One round: the effects added, the rivals of a single one, the trials by evidence, and effects
+    that it made needless."""
 
-    added: tuple[Trial, ...]
-    rivals: tuple[tuple[Rival, ...], ...]
+    added: tuple[Effect, ...]
+    rivals: tuple[Rival, ...]
     ranking: tuple[Trial, ...]
     before: Fit
     after: Fit
@@ -71,17 +72,17 @@ def search(fit: Fit, kinds: dict[str, type[Effect]], progress: Progress = lambda
     steps: list[Step] = []
     for _ in range(fit.config.most_rounds):
         late = bool(steps) and len(steps[-1].added) > 1  # what moves in time bends what was just found at many places
-        step = _next_step(fit, kinds, fixed, late, _in_round(progress, len(steps) + 1))
+        step = _next_step(fit, kinds, fixed, late, partial(_report, progress, len(steps) + 1))
         if step is None:
-            if not steps:
-                break
-            shaped = reshaped(fit, fixed, kinds)
+            shaped = reshaped(fit, fixed, kinds) if steps else fit
             if shaped is fit:
                 break
             fit = pruned(shaped, fixed, kinds)
             steps[-1] = replace(steps[-1], after=fit)
             continue
-        steps.append(_over(step))
+        step.before.forget()  # far larger than the rest, as what trials leave
+        ranking = tuple(replace(trial, residual=None) for trial in step.ranking)
+        steps.append(replace(step, ranking=ranking))
         fit = step.after
         if hopeless(fit):
             break
@@ -94,7 +95,7 @@ def _next_step(fit: Fit, kinds: dict[str, type[Effect]], fixed: Collection[Place
 
     :param late: tries what moves all inputs beside other forms of what is known; as where nothing else is good.
     """
-    trials = coarse(fit, list(candidates(fit, kinds)), report)
+    trials = coarse(fit, candidates(fit, kinds), report)
     ranking = refine_foremost(fit, trials)
     moves = [*single_moves(fit, ranking, kinds), *group_moves(fit, trials, fixed, kinds), *ending_moves(fit),
              *repeated_moves(fit, ranking, kinds)]
@@ -105,8 +106,7 @@ def _next_step(fit: Fit, kinds: dict[str, type[Effect]], fixed: Collection[Place
         return None
     step = _made(fit, simplest(good), moves, ranking, fixed, kinds)
     if step is not None:
-        names = [place(trial.effect.kind, trial.effect.where) for trial in step.added]
-        report(f'found {", ".join(names)}', 1.0)
+        report(f'found {", ".join(place(effect.kind, effect.where) for effect in step.added)}', 1.0)
     return step
 
 
@@ -122,13 +122,12 @@ def _made(fit: Fit, best: Move, moves: Sequence[Move], ranking: Sequence[Trial],
     if not found:
         return None
     alone = len(found) == 1 == len(best.added)
-    rivals = _rivals(fit, best, moves) if alone else ()
     if alone:  # a load may have moved to the link nearest to its centre
         ranking = [replace(trial, effect=found[0]) if identity(trial.effect) == added[0] else trial
                    for trial in ranking]
     return Step(
-        added=tuple(Trial(effect, after.residual, 1, evidence=best.gain.total / len(found)) for effect in found),
-        rivals=(rivals,) * len(found), ranking=tuple(ranking), before=fit, after=after,
+        added=found, rivals=_rivals(fit, best, moves) if alone else (), ranking=tuple(ranking),
+        before=fit, after=after,
         dropped=tuple(effect for effect in fit.effects if identity(effect) not in names))
 
 
@@ -149,14 +148,5 @@ def _rivals(fit: Fit, chosen: Move, moves: Sequence[Move]) -> tuple[Rival, ...]:
     return tuple(found)
 
 
-def _over(step: Step) -> Step:
-    """The step without what only its own round needed, which is far larger than the rest where samples are many."""
-    step.before.forget()
-    return replace(step, added=tuple(trial.without_residual() for trial in step.added),
-                   ranking=tuple(trial.without_residual() for trial in step.ranking))
-
-
-def _in_round(progress: Progress, number: int) -> Progress:
-    def report(words: str, share: float) -> None:
-        progress(f'round {number}: {words}', share)
-    return report
+def _report(progress: Progress, number: int, words: str, share: float) -> None:
+    progress(f'round {number}: {words}', share)

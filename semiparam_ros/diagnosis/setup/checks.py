@@ -43,6 +43,9 @@ MOTION_UNITS = {1.0 / DEGREE: ('position', 'degrees', DEGREE), DEGREE: ('velocit
                 np.pi / 30.0: ('velocity', 'revolutions per minute', np.pi / 30.0)}
 OUTPUT_UNITS = {1.0 / 9.81: 'kilograms-force', 9.81: 'newtons taken for kilograms-force', 1e3: 'thousandths (mN, N mm)',
                 1e-3: 'thousands (kN, kN m)', 1e2: 'hundredths (N cm)'}
+ACCELERATIONS = (
+    (-1.0, 'acceleration_sign', 'has the opposite sign of its change of velocity: negate it'),
+    (DEGREE, 'acceleration_units', 'is in degrees per second squared: publish it in rad/s^2'))
 NO_MATCH = 'robot_description'
 
 
@@ -155,8 +158,11 @@ def motion_problems(body: RigidBody, samples: Samples,
     for joint, (name, ratio) in enumerate(zip(joints, ratios, strict=True)):
         little = np.std(integrals[:, joint]) < config.little * np.std(changes[:, joint])
         silent = moving[joint] and little and math.isnan(ratio)  # else it is in another unit
-        found = _silent(name) if silent else _velocity(name, ratio, config)
-        if found is not None:
+        if silent:
+            problems.append(SetupProblem('velocity_missing', name, (
+                f"The position of '{name}' changes while its velocity stays zero: have the driver "
+                'publish velocities.')))
+        elif (found := _velocity(name, ratio, config)) is not None:
             problem, role, factor = found
             problems.append(problem)
             right = relabelled(right, (role,), factors=_factors(len(joints), joint, factor))
@@ -187,37 +193,35 @@ class Belonging(NamedTuple):
 
     order: Stamps
     signs: Array
-    of_velocity: SetupProblem
-    of_position: SetupProblem
-
-    def with_velocities(self, samples: Samples, config: DiagnosisConfig) -> Samples:
-        """The samples with other velocities, and accelerations if those are derivatives of the ones recorded."""
-        right = relabelled(samples, ('velocity',), self.order, self.signs)
-        changes, integrals = _spans(samples.time, samples.velocity, samples.acceleration, config)
-        inner = np.sum(changes * integrals, axis=0)
-        other = np.sum(changes[:, self.order] * self.signs * integrals, axis=0)
-        if inner.sum() <= other.sum():
-            return right
-        return relabelled(right, ('acceleration',), self.order, self.signs)
-
-    def with_positions(self, samples: Samples) -> Samples:
-        """The samples with other positions."""
-        back = np.argsort(self.order)
-        return relabelled(samples, ('position',), back, self.signs[back])
+    said: tuple[SetupProblem, ...]
 
 
 def _put_right(body: RigidBody, samples: Samples, right: Samples, belongings: Iterable[Belonging],
-             config: DiagnosisConfig) -> tuple[list[SetupProblem], Samples]:
+               config: DiagnosisConfig) -> tuple[list[SetupProblem], Samples]:
     """Whether the velocities are wrong, or the positions, by which of them makes the outputs likelier."""
     problems = []
-    for belonging in belongings:
-        velocities, positions = belonging.with_velocities(right, config=config), belonging.with_positions(right)
-        ready = [_smoothed(samples, one, config) for one in (velocities, positions)]
-        likely = [evidence(equations(body, one, config), one.outputs).log for one in ready] \
-            if len(ready[0]) >= config.least_working_samples else [0.0, 0.0]
-        right = positions if likely[1] > likely[0] else velocities
-        problems.append(belonging.of_position if likely[1] > likely[0] else belonging.of_velocity)
+    for order, signs, said in belongings:
+        back = np.argsort(order)
+        ways = (_with_velocities(right, order, signs, config),
+                relabelled(right, ('position',), back, signs[back]))
+        ready = [_smoothed(samples, one, config) for one in ways]
+        wrong = 0
+        if len(ready[0]) >= config.least_working_samples:
+            likely = [evidence(equations(body, one, config), one.outputs).log for one in ready]
+            wrong = int(np.argmax(likely))
+        right = ways[wrong]
+        problems.append(said[wrong])
     return problems, right
+
+
+def _with_velocities(samples: Samples, order: Stamps, signs: Array,
+                     config: DiagnosisConfig) -> Samples:
+    """The samples with other velocities, and accelerations if those are derivatives of the ones
+    recorded."""
+    changes, integrals = _spans(samples.time, samples.velocity, samples.acceleration, config)
+    derived = np.sum(changes * integrals) > np.sum(changes[:, order] * signs * integrals)
+    roles = ('velocity', 'acceleration') if derived else ('velocity',)
+    return relabelled(samples, roles, order, signs)
 
 
 def _other_belongings(joints: Sequence[str], samples: Samples, moving: Array,
@@ -244,7 +248,7 @@ def _other_belongings(joints: Sequence[str], samples: Samples, moving: Array,
         own = np.arange(len(joints))
         own[cycle] = order[cycle]
         names = listed([f"'{joints[joint]}'" for joint in cycle])
-        yield Belonging(own, np.ones(len(joints)), *(SetupProblem(f'{role}_order', joints[cycle[0]], (
+        yield Belonging(own, np.ones(len(joints)), tuple(SetupProblem(f'{role}_order', joints[cycle[0]], (
             f"The {those} of {names} belong to each other's {others}: they are swapped in the joint states; put them "
             'in the order of the names.')) for role, those, others in (('velocity', 'velocities', 'positions'),
                                                                       ('position', 'positions', 'velocities'))))
@@ -264,10 +268,10 @@ def _cycles(order: Stamps) -> Iterator[list[int]]:
 
 def _opposite(joints: Sequence[str], joint: int) -> Belonging:
     """A velocity that has the opposite sign of its change of position."""
-    problems = (SetupProblem(f'{role}_sign', joints[joint], (
+    said = tuple(SetupProblem(f'{role}_sign', joints[joint], (
         f"The {role} of '{joints[joint]}' has the opposite sign of its {other}: negate the {role} in the driver."))
         for role, other in (('velocity', 'change of position'), ('position', 'velocity')))
-    return Belonging(np.arange(len(joints)), _factors(len(joints), joint), *problems)
+    return Belonging(np.arange(len(joints)), _factors(len(joints), joint), said)
 
 
 def _ratio(changes: Array, integrals: Array, config: DiagnosisConfig) -> float:
@@ -321,12 +325,6 @@ def _clock(samples: Samples, ratios: list[float], config: DiagnosisConfig) -> li
         f'the stamps (for a text table: semiparam convert --period {factor * step:.4g}, or --time-unit).'))]
 
 
-def _silent(name: str) -> tuple[SetupProblem, str, float]:
-    return SetupProblem('velocity_missing', name, (
-        f"The position of '{name}' changes while its velocity stays zero: have the driver publish velocities.")), \
-        'velocity', 1.0
-
-
 def _velocity(name: str, ratio: float, config: DiagnosisConfig) -> tuple[SetupProblem, str, float] | None:
     """What a joint's ratio says, and which role times which factor puts it right."""
     if math.isnan(ratio) or _agrees(ratio, 1.0, config) or _agrees(ratio, -1.0, config):
@@ -353,14 +351,9 @@ def _accelerations(joints: Sequence[str], samples: Samples, right: Samples, movi
         if not moving[joint] or _agrees(_ratio(recorded[0][:, joint], recorded[1][:, joint], config), 1.0, config):
             continue
         ratio = _ratio(corrected[0][:, joint], corrected[1][:, joint], config)
-        if _agrees(ratio, -1.0, config):
-            found.append(SetupProblem('acceleration_sign', name, (
-                f"The measured acceleration of '{name}' has the opposite sign of its change of velocity: negate it, or "
-                'set acceleration.source to filter.')))
-        elif _agrees(ratio, DEGREE, config):
-            found.append(SetupProblem('acceleration_units', name, (
-                f"The measured acceleration of '{name}' is in degrees per second squared: publish it in "
-                'rad/s^2, or set acceleration.source to filter.')))
+        found += [SetupProblem(what, name, (
+            f"The measured acceleration of '{name}' {said}, or set acceleration.source to filter."))
+            for known, what, said in ACCELERATIONS if _agrees(ratio, known, config)]
     return found
 
 
@@ -419,7 +412,9 @@ def _alternatives(body: RigidBody, samples: Samples, config: DiagnosisConfig) ->
     yield from _other_directions(body, samples)
     yield from _other_orders(body, samples)
     yield from _exchanged_outputs(body, samples)
-    yield _radians(samples)
+    yield Alternative(relabelled(samples, MOTION, factors=DEGREE), SetupProblem('position_units', None, (
+        'Positions and velocities are in degrees: publish them in rad and rad/s (for a text table: semiparam convert '
+        '--degrees).')))
 
 
 def _other_signs(body: RigidBody, samples: Samples) -> Iterator[Alternative]:
@@ -519,12 +514,6 @@ def _exchanged_outputs(body: RigidBody, samples: Samples) -> Iterator[Alternativ
                 f'correct their order in {where}.')))
 
 
-def _radians(samples: Samples) -> Alternative:
-    return Alternative(relabelled(samples, MOTION, factors=DEGREE), SetupProblem('position_units', None, (
-        'Positions and velocities are in degrees: publish them in rad and rad/s (for a text table: semiparam convert '
-        '--degrees).')))
-
-
 # --- units of the outputs ---
 
 
@@ -544,22 +533,15 @@ def unit_problems(body: RigidBody, samples: Samples,
         unit = next((known for known in OUTPUT_UNITS
                      if 1.0 / config.unit_tolerance < slope / known < config.unit_tolerance), None)
         if alike > config.alike and unit is not None:
-            found.append(_unit(body, name, unit))
+            found.append(SetupProblem('output_units', body.sensor_frame, (
+                f'The {name} is {unit:.3g} times what the robot description predicts, as if it '
+                f'were in {OUTPUT_UNITS[unit]}: publish it in '
+                f'{"N" if name == "force" else "N m"}.')))
             factors[channels] /= unit
     return found, relabelled(samples, ('outputs',), factors=factors)
 
 
 def _without(columns: Array, values: Array) -> Array:
     """Values (N, n) less what the nuisances explain of each channel."""
-    left = np.empty_like(values)
-    for channel in range(values.shape[1]):
-        own = columns[:, channel, np.any(columns[:, channel] != 0.0, axis=0)]
-        left[:, channel] = values[:, channel] - own @ np.linalg.lstsq(own, values[:, channel], rcond=1e-9)[0]
-    return left
-
-
-def _unit(body: RigidBody, name: str, unit: float) -> SetupProblem:
-    right = {'force': 'N', 'torque': 'N m', 'effort': 'N m'}[name]
-    return SetupProblem('output_units', body.sensor_frame, (
-        f'The {name} is {unit:.3g} times what the robot description predicts, as if it were in {OUTPUT_UNITS[unit]}: '
-        f'publish it in {right}.'))
+    return np.column_stack([each - own @ np.linalg.lstsq(own, each, rcond=1e-9)[0]
+                            for own, each in zip(columns.transpose(1, 0, 2), values.T, strict=True)])
