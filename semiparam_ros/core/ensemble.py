@@ -18,6 +18,7 @@ from semiparam_ros.core.columns import CoupledColumns
 from semiparam_ros.core.compiled import Matrix, compiled
 from semiparam_ros.core.horizon_error import AveragedHorizons, HorizonErrors
 from semiparam_ros.core.initial_window import InitialWindow
+from semiparam_ros.core.learnt_inputs import LearntInputs
 from semiparam_ros.core.mixture import shares, student, weigh
 from semiparam_ros.core.model import ModelOptions
 from semiparam_ros.core.online_model import ModelState, OnlineModel
@@ -173,18 +174,18 @@ class Ensemble:
             if each.wandering is not None:
                 each.wandering.forget()
 
-    def predict_desired(self, x: Array, shown: Array, needed: Array) -> DesiredOutputs:
+    def predict_desired(self, x: Array, shown: Array, needed: Array, learnt: LearntInputs) -> DesiredOutputs:
         """Outputs at x (m,): each model with the errors to expect of it on motion that it has not
         learnt, and weighed by them.
 
         :param shown: (n, p) columns of the first model, of what the sensor shows. :param needed: by
-            the arm.
+            the arm. :param learnt: inputs that features were learnt at.
         """
         plain = shown, needed
         if self._without_effects is not self._columns:
             position, velocity, acceleration = x.reshape(3, -1)
             plain = self._without_effects.desired(position, velocity, acceleration, now=0, origin=0)
-        found = [each.predict_desired(x, *((shown, needed) if each.columns.effects else plain))
+        found = [each.predict_desired(x, *((shown, needed) if each.columns.effects else plain), learnt)
                  for each in self.models]
         noise = np.array([each.model.noise_std for each in self.models])
         beyond = ELSEWHERE**2 * self.carried.expected(noise)**2 - noise**2

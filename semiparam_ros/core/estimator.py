@@ -177,7 +177,8 @@ class Estimator:
         origin = self.origin or 0
         now = origin if self._newest is None else self._newest
         shown, needed = self.columns.desired(position, velocity, acceleration, now, origin, self._temperature)
-        found = self.ensemble.predict_desired(x, shown, needed)._replace(distance=self.kept.distance(x))
+        found = self.ensemble.predict_desired(x, shown, needed, self.kept)
+        found = found._replace(distance=self.kept.distance(x))
         require_finite('predicted outputs of a desired state',
                        np.concatenate([found.shown, found.covariance.diagonal()]))
         return found

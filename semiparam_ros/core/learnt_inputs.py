@@ -6,6 +6,12 @@ robot is when they do not. So the distance of a state from the mean, in the cova
 
 Every so-many-th input is kept. Where there is no more room, every other one is dropped, and half as many are kept from
 then on: they are spread over all that was learnt.
+
+From them also follows what random features can know of a state. Their kernel fades with the distance from what was
+learnt; a few hundred of them do not, for they are periodic. Of the variance 1 that the kernel k has at a state x before
+anything is learnt, the kept inputs z, each of which stands for s learnt ones with noise, take away
+
+    k(x, z)' (k(z, z) + (sigma / rho)^2 / s I)^-1 k(z, x)
 """
 
 from __future__ import annotations
@@ -14,8 +20,9 @@ from collections.abc import Mapping
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg.lapack import dtrtrs
 
-from semiparam_ros.core.random_features import input_scaling
+from semiparam_ros.core.random_features import RandomFeatures, input_scaling
 from semiparam_ros.core.samples import Sample
 from semiparam_ros.core.types import Array, Stamps
 from semiparam_ros.errors import SemiparamError
@@ -23,6 +30,8 @@ from semiparam_ros.errors import SemiparamError
 ROOM = 512
 LEAST_VARIANCE = 0.01
 """Of an input's own variance, what is added in every direction: noise of the inputs."""
+ROUNDING = 1e-9
+"""Of a kernel's variance."""
 RENEWED_EVERY = 64
 """Mean and covariance are those of so many more inputs kept, so that they are seldom taken anew."""
 
@@ -34,6 +43,7 @@ class LearntInputs:
         self._kept = np.zeros((ROOM, n_inputs))
         self._count, self._stride, self._passed = 0, 1, 0
         self._metric: tuple[tuple[int, int], Array, Array, Array, float] | None = None
+        self._kernels: dict[RandomFeatures, tuple[tuple[int, int], Array]] = {}
 
     def add(self, sample: Sample) -> None:
         """One more was learnt."""
@@ -52,11 +62,27 @@ class LearntInputs:
         """Distance of a state (m,) from what was learnt over the largest in it; infinite before anything was."""
         if not self._count:
             return np.inf
-        used = self._count - (self._count % RENEWED_EVERY if self._count > RENEWED_EVERY else 0)
-        if self._metric is None or self._metric[0] != (used, self._stride):
-            self._metric = self._measured(used)
+        if self._metric is None or self._metric[0] != (self._used, self._stride):
+            self._metric = self._measured(self._used)
         _, mean, scale, factor, largest = self._metric
         return float(np.sqrt(_squares((x - mean)[None] / scale, factor)[0]) / largest)
+
+    def known(self, x: Array, features: RandomFeatures, noise: float) -> float:
+        """Share of the variance of features at a state (m,) that what was learnt takes away, 0 to 1.
+
+        :param noise: variance of the noise over that of the features.
+        """
+        kept, version = self._kept[:self._used], (self._used, self._stride)
+        if self._kernels.get(features, (None,))[0] != version:
+            self._kernels = {each: held for each, held in self._kernels.items() if held[0] == version}
+            covariance = features.kernel(kept, kept) + (noise / self._stride + ROUNDING) * np.eye(len(kept))
+            self._kernels[features] = version, cho_factor(covariance, lower=True)[0]
+        white, _ = dtrtrs(self._kernels[features][1], features.kernel(x[None], kept)[0], lower=1)
+        return min(float(white @ white), 1.0)
+
+    @property
+    def _used(self) -> int:
+        return self._count - (self._count % RENEWED_EVERY if self._count > RENEWED_EVERY else 0)
 
     def _measured(self, used: int) -> tuple[tuple[int, int], Array, Array, Array, float]:
         kept = self._kept[:used]
@@ -79,6 +105,7 @@ class LearntInputs:
                                  f'{self._kept.shape[1]}.')
         self._kept[:len(kept)], self._count = kept, len(kept)
         self._stride, self._passed, self._metric = int(stride), int(passed), None
+        self._kernels = {}
 
 
 def _squares(z: Array, factor: Array) -> Array:

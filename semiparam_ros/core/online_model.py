@@ -15,6 +15,7 @@ from semiparam_ros.core.compiled import Matrix, Vector, compiled, direct
 from semiparam_ros.core.horizon_error import NO_OFFSETS, HorizonErrors, HorizonIndex, advance
 from semiparam_ros.core.hyperparameters.estimation import Hyperparameters
 from semiparam_ros.core.initial_window import Remembered
+from semiparam_ros.core.learnt_inputs import LearntInputs
 from semiparam_ros.core.model import AUTO, Model, ModelOptions, information_gain
 from semiparam_ros.core.prediction import DesiredOutputs, MemberPrediction, Observed
 from semiparam_ros.core.recursion import Prior, Regression, Update, learn
@@ -74,17 +75,23 @@ class OnlineModel:
     def _mean(self, prior: Prior) -> Array:
         return prior.mean if self.wandering is None else prior.mean + self.wandering.offset
 
-    def predict_desired(self, x: Array, shown: Array, needed: Array) -> DesiredOutputs:
+    def predict_desired(self, x: Array, shown: Array, needed: Array, learnt: LearntInputs) -> DesiredOutputs:
         """Outputs at x (m,), from the columns (n, p) of what the sensor shows and of what the arm
         needs.
 
-        Without the wandering offset, which is that of the last moments' motion.
+        Without the wandering offset, which is that of the last moments' motion. Features fade with
+        the distance from the inputs ``learnt``, as their kernel does.
         """
-        model = self.model
-        prior = model.predict(x, shown)
+        model, recursion, features = self.model, self.model.recursion, self.model.features
+        phi, unknown = np.zeros(0), 0.0
+        if features is not None:
+            known = learnt.known(x, features, (recursion.sigma / recursion.rho)**2)
+            phi, unknown = np.sqrt(known) * features(x), (1.0 - known) * recursion.rho**2
+        prior = model.predict_by(recursion, phi, shown)
         of_sensor = (shown - needed)[:, model.covered] @ model.theta
-        ratio = float(((prior.std**2 - prior.extra_variance) / model.noise_std**2).max()) - 1.0
-        return DesiredOutputs(prior.mean, prior.mean - of_sensor, prior.covariance, ratio)
+        covariance = prior.covariance + unknown * np.diag(recursion.scale**2)
+        ratio = ((covariance.diagonal() - prior.extra_variance) / model.noise_std**2).max() - 1.0
+        return DesiredOutputs(prior.mean, prior.mean - of_sensor, covariance, float(ratio))
 
     def coefficients(self) -> Coefficients:
         """Coefficients of the model as it stands."""

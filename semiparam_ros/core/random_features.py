@@ -37,8 +37,8 @@ class RandomFeatures:
         self.omega = spectrum(n_inputs, count, seed, frequencies)
         self.tau = tuple(float(value) for value in tau)
         self._check(n_inputs)
-        divisor = self.input_scale * spread(self.tau, n_inputs)
-        self._omega = np.ascontiguousarray((self.omega / divisor).T)
+        self._divisor = self.input_scale * spread(self.tau, n_inputs)
+        self._omega = np.ascontiguousarray((self.omega / self._divisor).T)
         self._phase = self.input_mean @ self._omega
         self._norm = 1.0 / np.sqrt(count // 2)
 
@@ -52,6 +52,12 @@ class RandomFeatures:
         """(N, D) features of inputs (N, m)."""
         z = x @ self._omega - self._phase
         return np.asarray(np.hstack([np.cos(z), np.sin(z)]) * self._norm)
+
+    def kernel(self, x: Array, others: Array) -> Array:
+        """(N, M) what phi(x)'phi(x') tends to with ever more features, of inputs (N, m) and (M, m)."""
+        x, others = x / self._divisor, others / self._divisor
+        squares = (x**2).sum(axis=1)[:, None] + (others**2).sum(axis=1) - 2.0 * x @ others.T
+        return np.exp(-0.5 * squares.clip(0.0))
 
     def _check(self, n_inputs: int) -> None:
         if not len(self.input_mean) == len(self.input_scale) == n_inputs:

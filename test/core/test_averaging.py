@@ -175,6 +175,21 @@ def test_a_desired_state_is_between_the_models_and_as_uncertain_as_on_a_block_th
     assert model.predict_desired(*(30.0 * values for values in sample[1:4])).distance > 3.0 > desired.distance
 
 
+def test_features_fade_where_nothing_was_learnt(averaged):
+    """A few hundred are periodic: of a motion like none before they said as much as of what they had learnt."""
+    samples, model, _ = averaged
+    far = [30.0 * values for values in samples[COUNT // 2][1:4]]
+    for each in model.ensemble.models:
+        columns, _ = each.columns.desired(*far, 0, 0)
+        found = each.predict_desired(np.concatenate(far), columns, columns, model.kept)
+        own = columns[:, each.model.covered] @ each.model.theta
+        np.testing.assert_allclose(found.shown, own, atol=1e-6 * np.abs(own).max() + 1e-9)
+        if each.model.features is not None:
+            recursion = each.model.recursion
+            at_least = (recursion.rho**2 + recursion.sigma**2) * recursion.scale**2
+            assert (np.diag(found.covariance) >= 0.999 * at_least).all()
+
+
 def test_one_sample_that_no_member_can_foresee_decides_nothing(averaged):
     samples, model, _ = averaged
     model = pickle.loads(pickle.dumps(model))

@@ -161,6 +161,14 @@ def test_as_few_features_as_are_enough_lose_no_evidence_to_speak_of():
     assert maximise_from(less, many.at, 'one', False, 'quasi-newton').value < least
 
 
+def test_no_features_are_rougher_than_they_can_show_with_physical_priors():
+    """Friction of a joint that turns back was taken for a function too rough to hold elsewhere."""
+    draw = Draw(tau=0.6, rho=1.0)
+    free, held = (draw.estimate('SPK-ML', physical=physical, starts=1) for physical in (False, True))
+    alike = np.exp(-6.0 / np.array([free.tau[0], held.tau[0]]) ** 2)
+    assert alike[0] < (2 * FREQUENCIES) ** -0.5 <= 1.000001 * alike[1]
+
+
 def test_each_output_has_its_own_noise():
     found = Draw(sigma=(0.02, 0.3)).estimate('SPK-ML', noise='output')
     assert found.sigma * np.array(found.output_scale) == pytest.approx([0.02, 0.3], rel=0.4)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from semiparam_ros.core.learnt_inputs import ROOM, LearntInputs
+from semiparam_ros.core.random_features import RandomFeatures
 from semiparam_ros.core.samples import Sample
 from semiparam_ros.errors import SemiparamError
 
@@ -28,6 +29,21 @@ def test_a_state_within_every_range_may_be_far_from_what_was_learnt():
     seen = [learnt.distance(x) for x in together(rng, 500)]
     assert np.mean(np.array(seen) <= 1.0) > 0.98
     assert learnt.distance(0.5 * np.arange(1.0, M + 1.0) * (1, -1, 1, -1, 1, -1)) > 3.0
+
+
+def test_features_know_what_is_near_and_nothing_far_from_what_was_learnt():
+    rng, learnt = np.random.default_rng(0), LearntInputs(M)
+    features = RandomFeatures(M, 20, 0, (2.0,), np.zeros(M), np.ones(M))
+    assert learnt.known(np.zeros(M), features, 0.1) == 0.0
+    inputs = 0.3 * rng.standard_normal((3 * ROOM, M))
+    for x in inputs:
+        learnt.add(as_sample(x))
+    kept = learnt.state()['kept'][:-(len(learnt.state()['kept']) % 64) or None]
+    covariance = features.kernel(kept, kept) + 0.1 / 4 * np.eye(len(kept))  # each stands for four
+    state = 0.5 * np.ones(M)
+    among = features.kernel(state[None], kept)[0]
+    assert learnt.known(state, features, 0.1) == pytest.approx(among @ np.linalg.solve(covariance, among), rel=1e-4)
+    assert learnt.known(inputs[7], features, 0.1) > 0.95 > 1e-3 > learnt.known(8.0 * np.ones(M), features, 0.1)
 
 
 @pytest.mark.parametrize('count', [1, 5, ROOM, ROOM + 1, 10 * ROOM + 7])

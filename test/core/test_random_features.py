@@ -29,6 +29,8 @@ def test_inner_products_tend_to_the_gaussian_kernel(tau, frequencies):
         phi = features(count, tau=tau, frequencies=frequencies).batch(X)
         worst.append(np.abs(phi @ phi.T - expected).max())
     assert worst[1] < 5 / np.sqrt(20_000) < worst[0]  # five standard deviations of the mean of 10 000 cosines
+    scaled = features(tau=tau, mean=X[0], scale=np.full(M, 3.0)).kernel(3.0 * X[:5], 3.0 * X)
+    np.testing.assert_allclose(scaled, expected[:5], atol=1e-12)
 
 
 def test_orthogonal_frequencies_have_the_same_mean_and_less_variance():

@@ -31,6 +31,8 @@ NOISE_SCAN = (0.03, 0.3, 1.0)
 FIRST_KAPPA, FIRST_MEMORY = 0.3, 20.0
 LEAST_DRIFT, MOST_DRIFT = (1e-3, 3.0), (1e2, 1e3)
 """Bounds of kappa and memory [samples]: a faster drift is noise, a slower one is an offset."""
+LEAST_TAU = 0.1
+"""Of scaled inputs, with the paper's priors."""
 SAME_BASIN = 0.5
 """Draft ends farther apart than this in any logarithm are polished separately."""
 SAME_TOP = 0.2
@@ -173,11 +175,24 @@ def scan(window: Window, guess: Point, starts: int) -> list[Point]:
 
 
 def _grid(window: Window, guess: Point) -> Iterator[Point]:
-    groups = len(guess.tau)
+    groups, shortest = len(guess.tau), shortest_scale(window)
     patterns = KIND_PATTERNS if groups > 1 else KIND_PATTERNS[:1]
     for tau, pattern, signal, left in product(TAU_SCAN, patterns, SIGNAL_SCAN, NOISE_SCAN):
         per_group = np.repeat(pattern, max(1, groups // len(pattern)))[:groups]
-        yield guess._replace(tau=tau * per_group, rho=signal * guess.rho, sigma=left * guess.sigma)
+        yield guess._replace(tau=np.maximum(tau * per_group, shortest), rho=signal * guess.rho,
+                             sigma=left * guess.sigma)
+
+
+def shortest_scale(window: Window) -> float:
+    """Least length scale.
+
+    D features show their kernel to D^-1/2. With physical priors two inputs of the window are at least as alike as that,
+    exp(-m / tau^2): what is rougher is the features' own, not the robot's.
+    """
+    if not window.physical or not len(window.spectrum):
+        return LEAST_TAU
+    frequencies, inputs = window.spectrum.shape
+    return float(np.sqrt(2.0 * inputs / np.log(2.0 * frequencies)))
 
 
 def _coordinates(window: Window, guess: Point, noise: str) -> Coordinates:
@@ -191,8 +206,8 @@ def _coordinates(window: Window, guess: Point, noise: str) -> Coordinates:
 def _bounds(window: Window, guess: Point) -> Array:
     """(k, 2) logarithms: generous, yet such that the shared covariance keeps a Cholesky factor."""
     size = float(np.sqrt(np.mean((window.outputs / guess.output_scale) ** 2)))
-    low = [1e-4 * guess.gamma, 1e-3 * guess.rho, *[0.1] * len(guess.tau), 1e-4 * guess.sigma, *LEAST_DRIFT,
-           *(1e-4 * guess.output_scale)]
+    low = [1e-4 * guess.gamma, 1e-3 * guess.rho, *[shortest_scale(window)] * len(guess.tau), 1e-4 * guess.sigma,
+           *LEAST_DRIFT, *(1e-4 * guess.output_scale)]
     largest = guess.rho if window.physical else 1e3 * size
     high = [1e4 * guess.gamma, largest, *[300.0] * len(guess.tau), 10.0 * size, *MOST_DRIFT,
             *(1e4 * guess.output_scale)]
