@@ -67,7 +67,7 @@ LARGEST_LOSS = log(1e4)
 """Of the information of a weight that is not excited, what may be forgotten before its prior is
 renewed [nat]."""
 
-_LEARNT = ('theta', '_weights', '_regression', '_renewed', '_discounts', '_memory')
+_LEARNT = ('theta', '_weights', '_regression', '_prior_information', '_renewed', '_discounts', '_memory')
 """What changes places with that of :attr:`SemiParametricRecursion.before`."""
 
 
@@ -143,6 +143,7 @@ class SemiParametricRecursion:
         information = np.zeros((self.n_columns + 1, self.n_columns + 1))
         diagonal = np.arange(self.n_columns)
         information[diagonal, diagonal] = 1.0 / self._prior_std[::-1]
+        self._prior_information: Array = self._prior_std**-2
         """(p,) of R'R, what is the prior's and not the samples': it is forgotten and renewed."""
         information[:-1, -1] = (self.theta / self._prior_std)[::-1]
         self._regression = Regression(information, self.scale, self.sigma, self.sigma * sqrt(autocorrelation_time))
@@ -232,9 +233,18 @@ class SemiParametricRecursion:
         estimates = self._weights.estimates().reshape(self.n_outputs, self.n_columns + 1, self.n_features)
         return np.asarray(np.append(-self.theta, 1.0) @ estimates)
 
-    def theta_covariance(self) -> Array:
-        """(p, p) covariance of theta given the features' prior and all samples learnt."""
+    def theta_covariance(self, white: bool = False) -> Array:
+        """(p, p) covariance of theta given the features' prior and all samples learnt.
+
+        :param white: as if each sample told as much as one of white noise: R'R then holds r times what it
+            has of the samples, and the same of the prior.
+        """
         inverse, _ = dtrtrs(self._regression.information[:-1, :-1], np.eye(self.n_columns))
+        if white:
+            more = (self._regression.tempered_sigma / self.sigma) ** 2 - 1.0
+            prior_root = np.sqrt(self._prior_information[::-1, None]) * inverse
+            shares, directions = np.linalg.eigh(prior_root.T @ prior_root)  # of the prior in R'R
+            inverse = inverse @ directions / np.sqrt(1.0 + more * (1.0 - np.minimum(shares, 1.0)))
         return np.asarray((inverse @ inverse.T)[::-1, ::-1])
 
     def theta_root(self) -> Array:
@@ -246,7 +256,8 @@ class SemiParametricRecursion:
         before = {} if self.before is None else self.before.state()
         return {**self._weights.state(), 'renewed': np.array([self._renewed, self._discounts, self.compared_at]),
                 'memory': np.array(self._memory), 'compared': self._compared.copy(),
-                'information': self._regression.information.copy(), 'theta': self.theta.copy(),
+                'information': self._regression.information.copy(),
+                'prior_information': self._prior_information.copy(), 'theta': self.theta.copy(),
                 **{f'before.{name}': values for name, values in before.items()}}
 
     def restore(self, state: Mapping[str, Array | Indices]) -> None:
@@ -269,6 +280,7 @@ class SemiParametricRecursion:
         self._memory, self._compared = float(state['memory']), np.array(state['compared'], dtype=float)
         self._regression = self._regression._replace(
             information=np.array(state['information'], dtype=float, order='C'))
+        self._prior_information = np.array(state['prior_information'], dtype=float)
         self.theta = np.array(state['theta'], dtype=float)
         self.before = None
         if then:
@@ -306,6 +318,7 @@ class SemiParametricRecursion:
     def _forget(self, factor: float) -> None:
         """Weigh the past less, and renew what of the prior is forgotten so."""
         self._regression.information[:] *= np.sqrt(factor)
+        self._prior_information *= factor
         if self.n_features:
             self._weights.inflate(1.0 / np.sqrt(factor))
         self._renew(factor)
@@ -336,6 +349,7 @@ class SemiParametricRecursion:
         weight = np.sqrt(1.0 - kept) / self._prior_std[index]
         row[0, self.n_columns - 1 - index], row[0, -1] = weight, weight * self.theta[index]
         triangular(self._regression.information, row, 1)
+        self._prior_information[index] += weight**2
 
 
 @compiled

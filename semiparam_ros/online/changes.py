@@ -30,10 +30,10 @@ noise kappa S^2. kappa is the usual mean square, and grows with what the best hy
     touched    the same of a w that goes along a line from each edge of the blocks to the next one,
                and is a random walk from edge to edge
     known      sum (r' S^-2 r - r~' S^-2 r~) / (2 kappa), r~ what a known effect leaves
-    learning   as changed, with theta ~ N(0, P), P the covariance that the model gives theta, or
-               kappa P: that of noise kappa
+    learning   as changed, with theta ~ N(0, kappa P) or N(0, P), whichever is likelier, P the
+               covariance that white noise would leave of theta
 
-kappa is large where noise is, or where the first windows were predicted badly; which, is not known.
+kappa is large where noise is, and where the first windows were predicted badly: then P is not.
 Where learning is likeliest, the model goes on as it stands. A change is told once it has ``SURE``
 nat more than all others, those of other causes for six seconds too. It may have begun at any of the
 last 32 blocks. The price is minus the log of the prior probability: robots pick up and put down,
@@ -419,7 +419,8 @@ class ChangeDetector:
     def _refer(self) -> None:
         """Compare with the model from before the longest window from now on."""
         assert self._model is not None
-        everything = self._model.recursion.theta_covariance()
+        # what noise repeats is in kappa
+        everything = self._model.recursion.theta_covariance(white=True)
         columns = self._own_columns
         scale = np.outer(self._own_scale, self._own_scale)
         covariance = everything[np.ix_(columns, columns)] / scale

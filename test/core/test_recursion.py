@@ -160,6 +160,11 @@ def test_samples_that_repeat_each_other_are_learnt_as_fewer_and_predicted_with_a
     np.testing.assert_allclose(fewer.theta_covariance(), noisier.theta_covariance(), **SAME)
     wider = (r - 1.0) * sigma**2 * np.eye(n)
     np.testing.assert_allclose(said[0].covariance + wider, said[1].covariance, **SAME)
+    white = SemiParametricRecursion(n, 0, np.ones(p), 1.0, sigma)
+    tempered = SemiParametricRecursion(n, 0, np.ones(p), 1.0, sigma, autocorrelation_time=r)
+    for each in (white, tempered):
+        run(each, phi[:, :0], columns, outputs)
+    np.testing.assert_allclose(tempered.theta_covariance(white=True), white.theta_covariance(), **SAME)
 
 
 def test_forgetting_weighs_the_past_as_the_batch_solution_does():
@@ -371,6 +376,7 @@ def test_what_is_forgotten_and_renewed_of_the_prior_does_not_count_as_samples(fo
             if changes and number == 1200:
                 model.follow_change()
             model.learn(model.predict(np.zeros(0), columns), columns.sum(axis=1))
-    white, fewer = (model.theta_covariance() for model in models)
+    white, fewer = (model.theta_covariance(white=True) for model in models)
+    np.testing.assert_allclose(white, models[0].theta_covariance(), rtol=1e-9, atol=1e-14)
     np.testing.assert_allclose(fewer[2, 2], white[2, 2])
     assert np.linalg.eigvalsh(fewer).min() > 0.0

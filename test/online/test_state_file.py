@@ -108,7 +108,7 @@ SCRATCH = {
 
 
 LAYOUT = {
-    26: {
+    25: {
         'meta': 'applied format gate joints known memory newest origin others passed_over renewal settings version '
                 'window_left',
         'gate': 'awake bands calm_since closed closed_at closed_ratio closed_since closures counts familiar free level '
@@ -125,6 +125,7 @@ LAYOUT = {
         'recursion.places': 'i8 (138,)', 'recursion.waiting': 'i8 ()', 'recursion.inflation': 'f8 ()',
         'recursion.renewed': 'i8 (3,)', 'recursion.memory': 'f8 ()', 'recursion.compared': 'f8 (3,)',
         'recursion.information': 'f8 (23, 23)', 'recursion.theta': 'f8 (22,)',
+        'recursion.prior_information': 'f8 (22,)',
         'horizon.filled': 'i8 ()', 'horizon.start': 'i8 ()', 'horizon.rows': 'f8 (5, 242)',
         'horizon.origins': 'i8 (5,)', 'calibration.table': 'f8 (11, 6)', 'wandering.table': 'f8 (16, 6)',
         'average.log_weights': 'f8 (3, 6)', 'average.shares': 'f8 (3, 6)', 'average.filled': 'i8 ()',
@@ -133,10 +134,12 @@ LAYOUT = {
         'other0.recursion.array': 'f8 (138, 0)', 'other0.recursion.left': 'f8 (8, 0)',
         'other0.recursion.right': 'f8 (8, 138)', 'other0.recursion.places': 'i8 (138,)',
         'other0.recursion.information': 'f8 (23, 23)', 'other0.recursion.theta': 'f8 (22,)',
+        'other0.recursion.prior_information': 'f8 (22,)',
         'other0.horizon.rows': 'f8 (5, 202)',
         'other1.recursion.array': 'f8 (142, 40)', 'other1.recursion.left': 'f8 (8, 40)',
         'other1.recursion.right': 'f8 (8, 142)', 'other1.recursion.places': 'i8 (102,)',
         'other1.recursion.information': 'f8 (17, 17)', 'other1.recursion.theta': 'f8 (16,)',
+        'other1.recursion.prior_information': 'f8 (16,)',
         'other1.horizon.rows': 'f8 (5, 200)',
         **{f'other{index}.{name}': layout for index in (0, 1) for name, layout in (
             ('recursion.waiting', 'i8 ()'), ('recursion.inflation', 'f8 ()'), ('recursion.renewed', 'i8 (3,)'),
