@@ -111,7 +111,7 @@ def test_a_temperature_that_stops_coming_is_told_and_samples_go_on_with_the_last
     states = node.create_publisher(JointState, 'joint_states', 10)
     warmth = node.create_publisher(Temperature, 'temperature', 10)
     until(executor, lambda: inputs.publishers('temperature') and inputs.publishers('joint_states'))
-    report = diagnostics.InputReport(inputs, diagnostics.Rejections())
+    report = diagnostics.InputReport(inputs, diagnostics.Rejections(), print)
 
     def state(stamp):
         message = JointState(name=list(JOINTS), position=[0.1, 0.2], velocity=[0.0, 0.0], effort=[1.0, 2.0])
