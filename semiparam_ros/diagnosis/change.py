@@ -107,9 +107,7 @@ def name_change(body: RigidBody, samples: Samples, effects: Sequence[Effect], si
     Raises SemiparamError when too few samples are left to work with.
     """
     touched_s = since_s if touched_s is None else min(touched_s, since_s)
-    clean = ~excluded(samples, config)
-    for first, last in contacts:
-        clean &= (samples.time < first) | (samples.time > last)
+    clean = _untouched(samples, contacts, config)
     fit, inputs, changed = _first_fit(body, samples, effects, touched_s, inputs, config, clean)
     tried = _ranked(fit, fit.effects[: len(effects)], (touched_s, since_s), ended_s)
     best = _likeliest(tried)
@@ -162,17 +160,21 @@ def _surpasses(best: Move, other: Move) -> bool:
 
 
 def gain_since(body: RigidBody, samples: Samples, since_s: float, before: Sequence[Effect],
-               after: Sequence[Effect], config: DiagnosisConfig = DEFAULTS) -> Gain:
+               after: Sequence[Effect], config: DiagnosisConfig = DEFAULTS,
+               contacts: Sequence[tuple[float, float]] = ()) -> Gain:
     """By how much [nat] a model with the effects ``after`` predicts samples from ``since_s`` [s
     since their origin] on better than one with the effects ``before``, both fitted to those before
     it.
+
+    :param contacts: [s] between which the robot was touched, which is left out.
 
     Raises SemiparamError when there are too few of either.
     """
     models = [[effect.in_recording(samples.origin) for effect in effects]
               for effects in (before, after)]
     old = samples.time < since_s
-    inputs, chosen, used, counted = prepared(body, samples, models[0], old, config)
+    clean = _untouched(samples, contacts, config)
+    inputs, chosen, used, counted = prepared(body, samples, models[0], old, config, clean=clean)
     fitting, judging = used & inputs.mask(old), used & inputs.mask(~old)
     require_enough(config, fitting, judging)
     fits = [starting_fit(body, chosen, effects, fitting, config, counted) for effects in models]
@@ -199,6 +201,15 @@ def _first_fit(body: RigidBody, samples: Samples, effects: Sequence[Effect], sin
     changed = np.asarray(chosen.time >= since_s)
     require_enough(config, used & ~changed, used)
     return starting_fit(body, chosen, effects, used, config, counted), inputs, changed
+
+
+def _untouched(samples: Samples, contacts: Sequence[tuple[float, float]],
+               config: DiagnosisConfig) -> Mask:
+    """(N,) the samples that may be used: no outliers, and none of contacts [s]."""
+    clean = ~excluded(samples, config)
+    for first, last in contacts:
+        clean &= (samples.time < first) | (samples.time > last)
+    return clean
 
 
 def _friction(body: RigidBody) -> list[Effect]:

@@ -314,6 +314,11 @@ class ChangeWatch:
         return STATES[2] if detector.knows else STATES[1]
 
     @property
+    def contacts(self) -> tuple[tuple[int, int], ...]:
+        """The latest stretches of motion [ns] in which the robot was touched, and did not change."""
+        return tuple(self._contacts.over)
+
+    @property
     def latest(self) -> ChangeRecord | None:
         """That of the change noticed last; None before any."""
         records = self.records.values()
@@ -591,7 +596,7 @@ class ChangeWatch:
             change.ended,
             self._inputs,
             tuple(self.applied.contributions),
-            tuple(self._contacts.over),
+            self.contacts,
             done=partial(self._named, number, asked=change.ended),
             urgency=Urgency.ASKED,
         )

@@ -115,19 +115,26 @@ def name_change(
     samples, origin = as_measured(body, samples, taken_off), samples.origin
     touched_s, since_s = ((stamp - origin) * 1e-9 for stamp in since)
     ended_s = None if ended is None else (ended - origin) * 1e-9
-    touches = [((first - origin) * 1e-9, (last - origin) * 1e-9) for first, last in contacts]
     found = name_change(
-        body, samples, effects, since_s, ended_s, inputs, touched_s=touched_s, contacts=touches
+        body, samples, effects, since_s, ended_s, inputs, touched_s=touched_s,
+        contacts=_seconds(contacts, origin)
     )
     return found if found.effect is None else replace(found, effect=found.effect.at_stamps(origin))
 
 
+def _seconds(spans: Sequence[tuple[int, int]], origin: int) -> list[tuple[float, float]]:
+    """[s] since an origin [ns], of stamps."""
+    return [((first - origin) * 1e-9, (last - origin) * 1e-9) for first, last in spans]
+
+
 def gain_since(body: RigidBody, batch: SampleBatch, since: int, before: Sequence[Effect],
-               after: Sequence[Effect], taken_off: Sequence[Contribution]) -> float | None:
+               after: Sequence[Effect], taken_off: Sequence[Contribution],
+               contacts: Sequence[tuple[int, int]] = ()) -> float | None:
     """By how much [nat] other effects predict what came after a stamp [ns] better than those
     before; None where that is too little to tell.
 
-    :param taken_off: what was taken off the samples before they were kept.
+    :param taken_off: what was taken off the samples before they were kept. :param contacts: stamps
+        [ns] between which the robot was touched.
     """
     from semiparam_ros.diagnosis.change import gain_since
 
@@ -136,7 +143,8 @@ def gain_since(body: RigidBody, batch: SampleBatch, since: int, before: Sequence
         return None
     try:
         samples = as_measured(body, samples, taken_off)
-        return gain_since(body, samples, (since - samples.origin) * 1e-9, before, after).total
+        return gain_since(body, samples, (since - samples.origin) * 1e-9, before, after,
+                          contacts=_seconds(contacts, samples.origin)).total
     except SemiparamError:
         return None
 

@@ -228,6 +228,17 @@ def test_what_was_found_helps_as_long_as_it_is_there(until, helps):
     assert (gain.total > 12.0) if helps else (gain.total < -12.0)
 
 
+def test_a_push_that_holds_a_load_up_says_nothing_against_it():
+    body, samples, mass = loaded((LOADED_S[0], 130.0))
+    up = pushed(start=105.0, seconds=20.0, force=(0.0, 0.0, 20.0 * mass))[1].outputs - free()[1].outputs
+    held = replace(samples, outputs=samples.outputs + up)
+    found = effect_from_text(f'payload@r_gripper {{"start_s": {LOADED_S[0]}}}')
+    blind, told_of_it = (gain_since(body, held, LOADED_S[1], [], [found], contacts=contacts).total
+                         for contacts in ((), ((104.5, 125.5),)))
+    assert blind < -12.0
+    assert told_of_it > 12.0
+
+
 def test_a_declared_load_that_was_put_down_ends_and_is_no_second_force():
     body, samples, _ = loaded()
     declared = effect_from_text(f'payload@r_gripper {{"start_s": {LOADED_S[0]}}}')

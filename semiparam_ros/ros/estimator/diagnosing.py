@@ -94,6 +94,7 @@ class Diagnosing:
         looked_at = diagnosis_jobs.thinned(samples, 1.0)
         self._background.submit(diagnosis_jobs.gain_since, learner.body, looked_at, self._until, self._examined,
                                 found.effects, tuple(learner.changes.applied.contributions),
+                                learner.changes.contacts,
                                 done=partial(self._declare, reply, found))
 
     def _declare(self, reply: Reply, found: DiagnosisOutcome, gain: float | None, error: BaseException | None) -> None:
