@@ -387,13 +387,15 @@ class ChangeWatch:
         detector = self._detector_of(estimator.columns)
         change = detector.see(*self._with_provisional(*part), self.applied.added, self.applied.spread)
         self._now = prediction.sample.stamp
-        self._moved_s += BLOCK_S * (detector.finished is not None)
-        if detector.finished is not None:
-            self._contacts.see(detector.finished, detector.touched, change is not None)
+        block = detector.finished
+        self._moved_s += BLOCK_S * (block is not None)
+        if block is not None:
+            self._contacts.see(block, detector.touched, change is not None)
         if change is not None:
             self._record(change)
-        if detector.finished is not None and detector.knows:
-            self._judge(detector, detector.finished)
+        if block is not None and detector.judges:
+            self._judge(detector, block)
+        if block is not None and detector.knows:
             self._hold(detector)
             self._assume(detector)
         if self._due and not self._naming and self._moved_s >= self._due[0][0]:
@@ -495,7 +497,7 @@ class ChangeWatch:
         """Let the model learn what no effect of the robot explains; with it another error is usual."""
         self.holds, self._held_s = False, 0.0
         if self.detector is not None:
-            self.detector.forget()
+            self.detector.learn_usual()
 
     def _with_provisional(self, prediction: Prediction, model: Model) -> tuple[Prediction, Model]:
         """What the detector judges: it follows a load itself until that is named."""

@@ -303,12 +303,21 @@ class ChangeDetector:
     def forget(self) -> None:
         """Begin anew, as with another model."""
         self._usual = [Usual(length, len(self.causes)) for length in LENGTHS]
+        self._former = list[Usual]()
+        """What was usual before it is learnt anew, for the noise until then."""
         self._power: deque[float] = deque(maxlen=USUAL * max(LENGTHS))
         self._innovations: deque[float] = deque(maxlen=USUAL * max(LENGTHS))
         """Weighed squares of free blocks, and of their innovations."""
         self._noise_std: Array | None = None
         """(n,) of the first model: the scale of all that is usual."""
         self._model: Model | None = None
+        self.reset()
+
+    def learn_usual(self) -> None:
+        """Learn anew what is usual: with what was learnt meanwhile another error is."""
+        self._former = [usual for usual in self._usual if usual.known] or self._former
+        self._usual = [Usual(length, len(self.causes)) for length in LENGTHS]
+        self._model = None
         self.reset()
 
     def reset(self) -> None:
@@ -360,6 +369,11 @@ class ChangeDetector:
     def knows(self) -> bool:
         """Whether it has seen enough free motion to tell anything."""
         return self._usual[LENGTHS.index(8)].known
+
+    @property
+    def judges(self) -> bool:
+        """Whether it knows, or knew before, how large the noise is."""
+        return self.knows or bool(self._former)
 
     @property
     def before(self) -> Array | None:
@@ -613,12 +627,12 @@ class ChangeDetector:
     def noise(self) -> float:
         """kappa: the usual mean square of what the whole rigid body explains, over the longest
         windows known."""
-        return next(usual.median for usual in reversed(self._usual) if usual.known)
+        return next(usual.median for usual in reversed(self._former + self._usual) if usual.known)
 
     @property
     def innovation_noise(self) -> float:
         """The same of innovations, for what is known to have come."""
-        return next(usual.noise for usual in reversed(self._usual) if usual.known)
+        return next(usual.noise for usual in reversed(self._former + self._usual) if usual.known)
 
     def _tell(self, stamp: int) -> Change | None:
         """Which hypothesis what stands out speaks for."""

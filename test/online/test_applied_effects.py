@@ -222,6 +222,19 @@ def test_a_load_that_was_put_down_while_the_clock_jumped_is_taken_back():
     assert stage.changes[-1].decisions[-1].what == TAKEN_BACK
 
 
+def test_a_load_that_is_put_down_while_it_is_learnt_anew_what_is_usual_is_taken_back():
+    """After something that no effect explains; the model learnt that it was gone, and kept it."""
+    body, samples, _ = loaded()
+    end = LOADED_S[1] - 1.0
+    stage = offered(body, samples[samples.time < end], diagnosis_auto='apply')
+    assert stage.learner.changes.applied.applied
+    stage.learner.changes._learn()
+    stage.offer(samples[(samples.time >= end) & (samples.time < LOADED_S[1] + 5.0)])
+    assert not stage.learner.changes.detector.knows
+    assert not stage.learner.changes.applied.applied
+    assert stage.changes[-1].decisions[-1].what == TAKEN_BACK
+
+
 def test_what_is_applied_is_saved_with_the_model_and_goes_on(tmp_path):
     """Saved after it was named for the third time, 25 s after it began."""
     body, samples, _ = loaded()
