@@ -72,6 +72,8 @@ class LearntInputs:
 
         :param noise: variance of the noise over that of the features.
         """
+        if not self._count:
+            return 0.0
         kept, version = self._kept[:self._used], (self._used, self._stride)
         if self._kernels.get(features, (None,))[0] != version:
             self._kernels = {each: held for each, held in self._kernels.items() if held[0] == version}

@@ -298,13 +298,8 @@ class ChangeDetector:
         self._joints = body.output_index if body.outputs == 'effort' else None
         self.number = told
         """That of the latest change that was told."""
-        self.forget()
-
-    def forget(self) -> None:
-        """Begin anew, as with another model."""
-        self._usual = [Usual(length, len(self.causes)) for length in LENGTHS]
-        self._former = list[Usual]()
-        """What was usual before it is learnt anew, for the noise until then."""
+        self._usual, self._former = self._unknown(), list[Usual]()
+        """What is usual, and what was before it is learnt anew: the noise until that is known."""
         self._power: deque[float] = deque(maxlen=USUAL * max(LENGTHS))
         self._innovations: deque[float] = deque(maxlen=USUAL * max(LENGTHS))
         """Weighed squares of free blocks, and of their innovations."""
@@ -315,10 +310,20 @@ class ChangeDetector:
 
     def learn_usual(self) -> None:
         """Learn anew what is usual: with what was learnt meanwhile another error is."""
-        self._former = [usual for usual in self._usual if usual.known] or self._former
-        self._usual = [Usual(length, len(self.causes)) for length in LENGTHS]
-        self._model = None
+        self._former = self._usual if self.knows else self._former
+        self._usual, self._model = self._unknown(), None
+        for squares in (self._power, self._innovations):
+            until_then = [float(np.median(squares))] if squares else []
+            squares.clear()
+            squares.extend(until_then)
         self.reset()
+
+    def _unknown(self) -> list[Usual]:
+        return [Usual(length, len(self.causes)) for length in LENGTHS]
+
+    @property
+    def _noise_from(self) -> list[Usual]:
+        return self._former if self._former and not self.knows else self._usual
 
     def reset(self) -> None:
         """Drop what is half seen, as after a jump of the clock; what is usual stays."""
@@ -627,12 +632,12 @@ class ChangeDetector:
     def noise(self) -> float:
         """kappa: the usual mean square of what the whole rigid body explains, over the longest
         windows known."""
-        return next(usual.median for usual in reversed(self._former + self._usual) if usual.known)
+        return next(usual.median for usual in reversed(self._noise_from) if usual.known)
 
     @property
     def innovation_noise(self) -> float:
         """The same of innovations, for what is known to have come."""
-        return next(usual.noise for usual in reversed(self._former + self._usual) if usual.known)
+        return next(usual.noise for usual in reversed(self._noise_from) if usual.known)
 
     def _tell(self, stamp: int) -> Change | None:
         """Which hypothesis what stands out speaks for."""

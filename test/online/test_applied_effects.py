@@ -228,7 +228,11 @@ def test_a_load_that_is_put_down_while_it_is_learnt_anew_what_is_usual_is_taken_
     end = LOADED_S[1] - 1.0
     stage = offered(body, samples[samples.time < end], diagnosis_auto='apply')
     assert stage.learner.changes.applied.applied
-    stage.learner.changes._learn()
+    detector = stage.learner.changes.detector
+    noise = detector.innovation_noise, detector.usual_squares
+    for _ in range(2):  # the second time it does not know it yet
+        stage.learner.changes._learn()
+        assert (detector.innovation_noise, detector.usual_squares) == noise
     stage.offer(samples[(samples.time >= end) & (samples.time < LOADED_S[1] + 5.0)])
     assert not stage.learner.changes.detector.knows
     assert not stage.learner.changes.applied.applied
