@@ -93,7 +93,7 @@ MEASURED = {
 }
 NAMES = {
     'load': ('payload',),
-    'tool': ('payload',),
+    'tool': ('payload', 'tool_exchange'),
     'base': ('gravity_tilt',),
     'zero': ('joint_offset',),
     'cable': ('cable_spring',),
@@ -297,7 +297,7 @@ def knocked(robot: Robot, rng: np.random.Generator) -> Array:
 
 def slipped(robot: Robot, rng: np.random.Generator) -> Array:
     """(N, n) what a joint adds whose true angle is another than its encoder's, one that the weight
-    of the arm turns."""
+    of the arm turns: a last wrist that hardly weighs anything shows no slip."""
     position, velocity, acceleration = (
         getattr(robot.samples, name) for name in ('position', 'velocity', 'acceleration')
     )
@@ -307,8 +307,10 @@ def slipped(robot: Robot, rng: np.random.Generator) -> Array:
         true = position.copy()
         true[:, joint] += rng.choice([-1.0, 1.0]) * rng.uniform(*SLIPPED_RAD)
         found.append(robot.arm.evaluate(true, velocity, acceleration) - level)
-    spread = robot.samples.outputs.std(axis=0)
-    felt = np.array([np.sqrt(np.mean((each / spread) ** 2)) for each in found])
+    units = 1 if robot.settings.outputs == 'effort' else 2
+    spread = robot.samples.outputs.std(axis=0).reshape(units, -1)
+    largest = np.repeat(spread.max(axis=1), spread.shape[1])
+    felt = np.array([np.sqrt(np.mean((each / largest) ** 2)) for each in found])
     return found[rng.choice(np.flatnonzero(felt >= 0.3 * felt.max()))]
 
 

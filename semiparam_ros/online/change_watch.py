@@ -27,7 +27,7 @@ from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.stamps import NANOSECONDS
 from semiparam_ros.effects import Effect
 from semiparam_ros.effects.base import Span, place
-from semiparam_ros.effects.loads import Payload
+from semiparam_ros.effects.loads import Payload, ToolExchange
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online import diagnosis_jobs
 from semiparam_ros.online.applied_effects import AppliedEffects, KnownEffect
@@ -338,13 +338,11 @@ class ChangeWatch:
     @property
     def picked(self) -> tuple[bool, Load | None]:
         """Whether a load was picked up or put down, and what is there of it, as far as that is known."""
-        loads = []
-        for trial in self.applied.applied:
-            record = self.records.get(trial.number)
-            named = None if record is None else record.named
-            if trial.effect.is_load:
-                values = (trial.coefficients, trial.std) if named is None else named.coefficients
-                loads.append((str(trial.effect.where), *values))
+        loads = [
+            (str(trial.effect.where), trial.coefficients, trial.std)
+            for trial in self.applied.applied
+            if trial.effect.is_load
+        ]
         followed = self._followed
         record = None if followed is None else self.records.get(followed.change.number)
         if record is not None and record.named is not None and record.effect is not None:
@@ -530,6 +528,8 @@ class ChangeWatch:
         record = self.records.get(number)
         if record is None or any(decision.what == DROPPED for decision in record.decisions):
             return False
+        if record.effect is not None and record.effect.from_outside:
+            return True  # it will be over: what pushes is no part of the robot
         return record.times_named < NAMED_TWICE or self.applied.of_change(number) is not None
 
     def _try(self, record: ChangeRecord) -> None:
@@ -537,12 +537,19 @@ class ChangeWatch:
         effect, named, number = record.effect, record.named, record.change.number
         if effect is None or named is None or not self.applies:
             return
-        if effect.from_outside or (effect.ends and record.change.ended is None):
+        if effect.from_outside:
             return
+        values, std = named.coefficients
+        if effect.ends and record.change.ended is None:
+            others = [trial.effect for trial in self.applied.trials]
+            if not effect.is_load or effect.without_span() in others:
+                return
+            # put down was what the model has learnt with the arm, which is another one without it
+            effect, values = ToolExchange(effect.where), -values
         followed = self._followed
         waits = followed is not None and followed.change.number == number and self.holds
         known = self.applied.of_change(number) is not None
-        if (waits or known) and self.applied.offer(number, effect, *named.coefficients, self._now):
+        if (waits or known) and self.applied.offer(number, effect, values, std, self._now):
             self._decide(number, Decision(TRIED, self._now))
 
     def _detector_of(self, columns: CoupledColumns) -> ChangeDetector:

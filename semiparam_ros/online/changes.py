@@ -28,15 +28,16 @@ noise kappa S^2. kappa is the usual mean square, and grows with what the best hy
 
     changed    h' (kappa I + A)^-1 h / (2 kappa) - log|I + A / kappa| / 2 - price
     touched    the same of a w that goes along a line from each edge of the blocks to the next one,
-               and is a random walk from edge to edge
+               is a random walk from edge to edge, and is over after six seconds
     known      sum (r' S^-2 r - r~' S^-2 r~) / (2 kappa), r~ what a known effect leaves
     learning   as changed, with theta ~ N(0, kappa P) or N(0, P), whichever is likelier, P the
                covariance that white noise would leave of theta
 
 kappa is large where noise is, and where the first windows were predicted badly: then P is not.
 Where learning is likeliest, the model goes on as it stands. A change is told once it has ``SURE``
-nat more than all others, those of other causes for six seconds too. It may have begun at any of the
-last 32 blocks. The price is minus the log of the prior probability: robots pick up and put down,
+nat more than all others, those of other causes for six seconds too. What acts as a contact does, but
+for longer, is a change of no known kind: a cable that has caught. A change may have begun at any of
+the last 32 blocks. The price is minus the log of the prior probability: robots pick up and put down,
 and the rest is rare.
 
 The model predicts with the coefficients that it had eight seconds of motion ago, for it learns a
@@ -92,10 +93,12 @@ USUAL, FEWEST = 20, 4
 SINCE = (32, 28, 24, 20, 16, 14, 12, 10, 8, 7, 6, 5, 4)
 """[blocks] How long ago a change may have begun."""
 CONTACT_S = 6.0
-"""A contact does not last longer."""
+"""A contact does not last longer: what does is a change."""
 LASTING = round(CONTACT_S / BLOCK_S)
 """[blocks] What has lasted so long is told, though other causes may be as likely; what no known kind
 explains not before."""
+OVER = (0, 4, 8, 16)
+"""[blocks] So long ago a contact may have been over."""
 CALM = 0.5
 """Below this share of what stands out, nothing does."""
 PER_HOUR = 0.1
@@ -681,23 +684,37 @@ class ChangeDetector:
             for cause in self.causes
         ]
         learns = self._learning(grams, sums)
-        explained = np.max([fit.explained for fit in (learns, *fits)], axis=0)
+        now, noise = len(self._blocks), np.full(len(starts), self.noise)
+        brief = np.maximum(starts, now - LASTING)  # what began before is no contact, if it acts yet
+        lasts = 2.0 * noise * _likeliest_of(self._acting(noise, now), starts, brief)
+        explained = np.max([*(fit.explained for fit in (learns, *fits)), lasts], axis=0)
         left = _since(power, starts) - explained
         growth = np.maximum(left / (np.median(self._power) * counts), 1.0)
         kappa = self.noise * STEP ** np.round(np.log(growth) / log(STEP))
         learning = np.maximum(learns.evidence(kappa), learns.evidence(kappa, kappa[:, None]))
-        touched = self._touched(kappa, starts)
         known = self._known(starts, power, followed) / (2.0 * kappa)
         alone = np.array([fit.evidence(kappa) - fit.cause.price for fit in fits])
-        most = max(float(each.max()) for each in (touched, known, alone))
+        acting = self._acting(kappa, now)
+        lasts = _likeliest_of(acting, starts, brief) - fits[-1].cause.price
+        alone[-1] = np.maximum(alone[-1], lasts)
         late = starts + (counts + 1) // 2
         later = _since(blocks, late), _since(moments, late)
-        beside = _beside(fits, alone, np.max([learning, touched, known], axis=0), counts)
-        judged = [
-            likeliest_window(fit, evidence, kappa, counts, *later)
-            for fit, evidence in zip(fits, beside, strict=True)
-        ]
-        return max(judged, key=lambda each: each.evidence), float(learning.max()) >= most
+        touched = np.zeros(len(starts))
+        for end in (now - ago for ago in OVER if ago < now):
+            # what is not likelier than one of these contacts is not told
+            acting = acting if end == now else self._acting(kappa, end)
+            since = np.maximum(starts, end - LASTING)
+            touched = np.maximum(touched, _likeliest_of(acting, since, np.full(len(since), end)))
+            beside = _beside(fits, alone, np.max([learning, touched, known], axis=0), counts)
+            judged = [
+                likeliest_window(fit, evidence, kappa, counts, *later)
+                for fit, evidence in zip(fits, beside, strict=True)
+            ]
+            best = max(judged, key=lambda each: each.evidence)
+            learns = learning.max() >= max(float(each.max()) for each in (touched, known, alone))
+            if best.evidence < SURE and not learns:
+                break
+        return best, bool(learns)
 
     def _known(self, starts: Indices, power: Array, followed: Followed | None) -> Array:
         """(S,) the squares that the best of the known effects explains of the blocks from each of
@@ -738,13 +755,11 @@ class ChangeDetector:
             LEARNING, root.T @ grams[:, part[:, None], part] @ root, sums[:, part] @ root
         )
 
-    def _touched(self, kappa: Array, starts: Indices) -> Array:
-        """(S,) log evidence of a contact that began at any block since each of some starts, with
-        the noise of that, over that of none."""
+    def _acting(self, kappa: Array, end: int) -> Array:
+        """(B, S) log evidence over none of what acts at the hand, or on each output, since each of
+        the blocks and until ``end``, under noise kappa (S,)."""
         kappa, which = np.unique(kappa, return_inverse=True)
-        late = np.arange(len(self._blocks))[:, None] >= starts
-        began = self._contact(list(self._blocks), kappa)[:, which]
-        return np.asarray(np.where(late, began, 0.0).max(axis=0, initial=0.0))
+        return self._contact(list(self._blocks)[:end], kappa)[:, which]
 
     def _contact(self, blocks: Sequence[MotionBlock], kappa: Array) -> Array:
         """(B, S) log evidence of a contact since each of some blocks, under noise kappa (S,)."""
@@ -838,6 +853,14 @@ class ChangeDetector:
         self.touched, self.followed = False, Followed(change, judged, blocks)
         self._compared = np.zeros(3)
         return change
+
+
+def _likeliest_of(acting: Array, first: Indices, last: Indices) -> Array:
+    """(S,) the largest of an evidence (B, S) since any block from ``first`` on and before ``last``;
+    that of none is 0."""
+    block = np.arange(len(acting))[:, None]
+    found = np.where((block >= first) & (block < last), acting, 0.0)
+    return np.asarray(found.max(axis=0, initial=0.0))
 
 
 def _with_prior(gram: Array) -> Array:

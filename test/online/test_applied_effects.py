@@ -126,6 +126,32 @@ def test_what_came_is_named_and_applied(tmp_path, changed, kind):
     np.testing.assert_array_equal(trial.coefficients, known.coefficients)
 
 
+def test_a_load_that_the_model_has_learnt_is_put_down_and_taken_off():
+    """It was named, and then learnt over minutes, as it was over."""
+    body, samples, mass = loaded(between=(0.0, 70.0))
+    samples = samples[samples.time < 110.0]
+    stage = offered(body, samples, diagnosis_auto='apply')
+    (record,) = {change.change.number: change for change in stage.changes}.values()
+    assert (record.effect.kind, record.decisions[-1].what) == ('payload', APPLIED)
+    assert record.effect.ends
+    left = errors(stage, samples)
+    floor = between(samples, left, *FLOOR_S)
+    assert between(samples, left, 85.0, 110.0) < 1.3 * floor
+    picked, load = stage.learner.changes.picked
+    assert picked
+    assert load.parameters[0] == pytest.approx(-mass, rel=0.05), 'less than the model has learnt'
+
+
+def test_a_hand_that_leans_on_the_arm_for_twenty_seconds_is_not_learnt():
+    body, samples = pushed(seconds=20.0)
+    stage = offered(body, samples[samples.time < 110.0], diagnosis_auto='apply')
+    batch = stage.learner.history.batch()
+    time = (batch.stamps - samples.origin) * 1e-9
+    assert (batch.learning[(time > 72.0) & (time < 90.0)] == Learning.OFFSET).mean() > 0.95
+    assert (batch.learning[time > 102.0] != Learning.OFFSET).all()
+    assert not stage.learner.changes.applied.applied
+
+
 @pytest.mark.parametrize('stiffness', [20.0, 40.0])
 def test_what_no_effect_explains_is_learnt_and_told_no_more(monkeypatch, stiffness):
     """It was told anew every few seconds, or applied and taken back, and never learnt."""

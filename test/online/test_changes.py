@@ -12,7 +12,7 @@ from semiparam_ros.diagnosis.change import gain_since, name_change
 from semiparam_ros.effects import effect_from_text
 from semiparam_ros.online.changes import LENGTHS, USUAL, ChangeDetector
 from semiparam_ros.online.wandering_contact import WANDERS, wandering
-from support.changing_arm import LOADED_S, elbow_rests, free, loaded, offered, pushed
+from support.changing_arm import LOADED_S, caught, elbow_rests, free, loaded, offered, pushed
 
 
 def told(body, samples):
@@ -127,6 +127,14 @@ def test_a_push_is_a_contact_and_no_change(seed, newton):
     assert not found
     assert touched[pushing].mean() > 0.9
     assert not touched[samples.time > 85.0].any()
+
+
+def test_what_acts_longer_than_a_contact_does_is_a_change():
+    """A contact that never ended was as likely as a cable that had caught: nothing was told of it."""
+    body, samples = caught()
+    found, _, _ = told(body, samples[samples.time < 80.0])
+    assert found
+    assert abs((found[0].touched - samples.origin) * 1e-9 - 70.0) < 2.0
 
 
 def test_the_evidence_of_a_contact_is_that_of_a_random_walk():
