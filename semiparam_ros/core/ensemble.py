@@ -9,6 +9,7 @@ same effects share their columns. One model alone is an ensemble of one.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -37,6 +38,9 @@ OFF_SHARE = 0.1
 """Where nothing moves and all outputs are below this share of what is predicted, the motors are
 off behind brakes."""
 
+MARK_NS, MARKS = 250_000_000, 3
+"""So often what was learnt is copied, and so many copies are kept: the oldest is from half a second
+ago at least."""
 ELSEWHERE = 2.0
 """Errors on another motion are up to so many times those on a block of the same motion that was
 left out: on thirteen pairs of recordings of measured and simulated arms then at most 1 % are beyond
@@ -59,6 +63,8 @@ class Ensemble:
         """(K, n) of the models, one in sum."""
         self.carried = CarryOver(n_models, n_outputs)
         self._horizons = AveragedHorizons(options.horizon, n_outputs, n_models)
+        self._marks: deque[tuple[int, list[dict[str, object]]]] = deque(maxlen=MARKS)
+        """Stamps [ns], and what each model had learnt then."""
 
     @property
     def first(self) -> OnlineModel:
@@ -149,6 +155,18 @@ class Ensemble:
             self.clear_horizons()
         return returns
 
+    def mark(self, stamp: int) -> None:
+        """Copy what was learnt until a stamp [ns], where the last copy is old enough."""
+        if not self._marks or not 0 <= stamp - self._marks[-1][0] < MARK_NS:
+            self._marks.append((stamp, [each.model.recursion.learnt() for each in self.models]))
+
+    def go_back(self) -> None:
+        """Take back what was learnt since the oldest mark."""
+        if self._marks:
+            for each, learnt in zip(self.models, self._marks[0][1], strict=True):
+                each.model.recursion.go_back(learnt)
+            self.clear_horizons()
+
     def follow_change(self) -> None:
         """The robot has changed: see
         :meth:`~semiparam_ros.core.recursion.SemiParametricRecursion.follow_change`."""
@@ -157,8 +175,9 @@ class Ensemble:
             each.model.recursion.follow_change()
 
     def clear_horizons(self) -> None:
-        """Forget half-finished horizons."""
+        """Forget half-finished horizons, and what the models would go back to."""
         self.carried.interrupt()
+        self._marks.clear()
         for each in self.models:
             each.horizon.clear()
         self._horizons.clear()

@@ -128,6 +128,8 @@ class Estimator:
         """See :mod:`semiparam_ros.core.input_range`."""
         given = self.options.hyperparameters
         self.ready, self.window_samples = given is not None, window
+        self.marks = False
+        """Whether what was learnt is copied, so that it can be taken back."""
         self.returns = 0
         """How often the robot was again as before its last change."""
         if given is None:
@@ -207,12 +209,18 @@ class Estimator:
             self.kept.add(sample)
             if self.ready and prediction.motion.is_news:
                 self.ensemble.charge_left_out(prediction)
+            if self.marks:
+                self.ensemble.mark(sample.stamp)
         self.returns += self.ensemble.compare(prediction)
         if learn and not self.ready and not self.window.full:
             self.window.append(sample, prediction.columns)
         if finish and self.window_full:
             self.finish_window()
         return complete
+
+    def go_back(self) -> None:
+        """Take back what was learnt in the last half second, or a little more, where that is :attr:`marks`."""
+        self.ensemble.go_back()
 
     def follow_change(self) -> None:
         """The robot has changed: see :meth:`~semiparam_ros.core.recursion.SemiParametricRecursion.follow_change`."""

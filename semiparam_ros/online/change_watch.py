@@ -281,8 +281,8 @@ class ChangeWatch:
         self.applies = False
         """Whether what was named is applied (``diagnosis.auto: apply``)."""
         self.applied = AppliedEffects(body)
-        self.holds = False
-        """Whether the next sample is not to be learnt."""
+        self.holds = self.begins_to_hold = False
+        """Whether the next sample is not to be learnt, and whether it is the first one."""
         self._held_s = 0.0
         self._assumed = 0, 0
         """The change whose load is taken off before it is named, and of how many blocks it is."""
@@ -394,7 +394,9 @@ class ChangeWatch:
         if block is not None and detector.judges:
             self._judge(detector, block)
         if block is not None and detector.knows:
+            held = self.holds
             self._hold(detector)
+            self.begins_to_hold = self.holds and (self.begins_to_hold or not held)
             self._assume(detector)
         if self._due and not self._naming and self._moved_s >= self._due[0][0]:
             self._name(self._due.pop(0)[1], history, estimator.columns.effects)

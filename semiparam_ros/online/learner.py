@@ -171,6 +171,7 @@ class Learner:
                 f'the contact gate opens after {self.settings.gate_timeout:g} s: what lasts so long is '
                 'a change of the robot, and is learnt.')
         learning = learning_of(prediction, self.settings.learning and not contact, self.gate, self.changes)
+        self.changes.begins_to_hold &= learning != Learning.TAKEN_BACK
         answer = Answer(self._as_measured(prediction, of_tools, of_changes), sample.outputs - prediction.mean,
                         standardised_innovation(prediction), learning, contact, self.gate.level, *self.gate.places(),
                         (prediction.mean - prediction.model_mean) * (not self.settings.gate_enabled))
@@ -189,7 +190,7 @@ class Learner:
         if self.settings.diagnosis_auto == OFF:
             self.changes.forget()
             return
-        self.changes.applies = self.settings.diagnosis_auto == APPLY
+        self.changes.applies = self.estimator.marks = self.settings.diagnosis_auto == APPLY
         try:
             self.changes.see(self.estimator, prediction, self.history)
         except Exception as error:

@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 class Learning(IntEnum):
     """Fate of one sample; above zero where it is learnt."""
 
+    TAKEN_BACK = -3
+    """As OFFSET, the first of them: what stands out began before it was seen, so what was learnt in the last half
+    second is taken back."""
     OFFSET = -2
     """The wandering offset alone follows it: the robot may have changed, and what it is will be known soon."""
     NO_NEWS = -1
@@ -41,7 +44,7 @@ def learning_of(prediction: Prediction, learn: bool, gate: ContactGate,
     if not prediction.motion.is_news:
         return Learning.NO_NEWS
     if learn and changes.holds:
-        return Learning.OFFSET
+        return Learning.TAKEN_BACK if changes.begins_to_hold else Learning.OFFSET
     return Learning.AFTER_CHANGE if learn and gate.changed else Learning(learn)
 
 
@@ -52,4 +55,8 @@ def observe(estimator: Estimator, prediction: Prediction, learning: int, finish:
     motion, is_news = prediction.motion, learning != Learning.NO_NEWS
     if motion.is_news != is_news:
         prediction = prediction._replace(motion=motion._replace(is_news=is_news))
-    return estimator.observe(prediction, learning > 0, finish, learning == Learning.OFFSET)
+    follow = learning in (Learning.OFFSET, Learning.TAKEN_BACK)
+    complete = estimator.observe(prediction, learning > 0, finish, follow)
+    if learning == Learning.TAKEN_BACK:
+        estimator.go_back()
+    return complete

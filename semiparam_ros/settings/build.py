@@ -25,7 +25,9 @@ def build_estimator(settings: Table, robot_description: str | None = None, origi
     Raises SemiparamError when the URDF, a joint, the sensor frame, an effect or a hyperparameter does not fit.
     """
     body = build_rigid_body(settings, robot_description)
-    return Estimator(body, model_options(settings), declared_effects(settings), origin)
+    estimator = Estimator(body, model_options(settings), declared_effects(settings), origin)
+    estimator.marks = settings.diagnosis_auto == 'apply'
+    return estimator
 
 
 def build_rigid_body(settings: Table, robot_description: str | None = None) -> RigidBody:

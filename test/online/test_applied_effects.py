@@ -152,6 +152,17 @@ def test_a_hand_that_leans_on_the_arm_for_twenty_seconds_is_not_learnt():
     assert not stage.learner.changes.applied.applied
 
 
+def test_what_was_learnt_before_a_push_stood_out_is_taken_back():
+    """The first half second of each push was learnt, and spoilt predictions for half a minute."""
+    body, samples = pushed()
+    pushed_at = offered(body, samples, diagnosis_auto='apply')
+    never = offered(body, free()[1], diagnosis_auto='off')
+    share = errors(pushed_at, samples) / between(samples, errors(never, free()[1]), 80.0, 130.0)
+    assert between(samples, share, 80.0, 130.0) < 1.1
+    codes = pushed_at.learner.history.batch().learning
+    assert (codes == Learning.TAKEN_BACK).sum() == 1
+
+
 @pytest.mark.parametrize('stiffness', [20.0, 40.0])
 def test_what_no_effect_explains_is_learnt_and_told_no_more(monkeypatch, stiffness):
     """It was told anew every few seconds, or applied and taken back, and never learnt."""
