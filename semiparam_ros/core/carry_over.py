@@ -47,6 +47,7 @@ class CarryOver:
         self._finished = 0
         self._sums = np.zeros((n_models, n_outputs))
         self._frozen: tuple[Coefficients, ...] = ()
+        self._told: tuple[int, Array, Array] | None = None
         self.interrupt()
 
     def interrupt(self) -> None:
@@ -87,16 +88,20 @@ class CarryOver:
 
     def expected(self, otherwise: Array) -> Array:
         """(K, n) s, and ``otherwise`` (K, n) where it is larger or no block is finished."""
-        if not self._finished:
-            return otherwise
-        return np.maximum(np.sqrt(np.median(self.squares, axis=0)), otherwise)
+        return np.maximum(self._of_blocks()[1], otherwise) if self._finished else otherwise
 
     @property
-    def weights(self) -> Array:
-        """(K, n) w, one in sum over the models, from at least one block."""
-        log_weights = -0.5 * np.log(self.squares).sum(axis=0)
-        weights = np.exp(log_weights - log_weights.max(axis=0))
-        return np.asarray(weights / weights.sum(axis=0))
+    def log_weights(self) -> Array:
+        """(K, n) log w, 0 for the best of the models, from at least one block."""
+        return self._of_blocks()[2]
+
+    def _of_blocks(self) -> tuple[int, Array, Array]:
+        """How many they were, s and log w: kept until the next one is finished."""
+        if self._told is None or self._told[0] != self._finished:
+            log_weights = -0.5 * np.log(self.squares).sum(axis=0)
+            self._told = (self._finished, np.sqrt(np.median(self.squares, axis=0)),
+                          log_weights - log_weights.max(axis=0))
+        return self._told
 
     def state(self) -> dict[str, Array | Stamps]:
         """Copies; :meth:`restore` takes them back bit for bit."""
@@ -126,5 +131,5 @@ class CarryOver:
                                  f'values of {expected}.')
         if min(counts) < 0 or (blocks[:min(counts[0], BLOCKS)] <= 0.0).any():
             raise SemiparamError('the saved errors of left-out blocks are no squares of so many blocks.')
-        self._blocks, self._sums, self._frozen = blocks, sums, frozen
+        self._blocks, self._sums, self._frozen, self._told = blocks, sums, frozen, None
         self._finished, self._since, self._charged, self._passed = map(int, counts)

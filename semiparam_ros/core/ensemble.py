@@ -197,6 +197,8 @@ class Ensemble:
         """Outputs at x (m,): each model with the errors to expect of it on motion that it has not
         learnt, and weighed by them.
 
+        Their disagreement, and how unsure they are, count by what left-out blocks alone say.
+
         :param shown: (n, p) columns of the first model, of what the sensor shows. :param needed: by
             the arm. :param learnt: inputs that features were learnt at.
         """
@@ -204,28 +206,42 @@ class Ensemble:
         if self._without_effects is not self._columns:
             position, velocity, acceleration = x.reshape(3, -1)
             plain = self._without_effects.desired(position, velocity, acceleration, now=0, origin=0)
-        found = [each.predict_desired(x, *((shown, needed) if each.columns.effects else plain), learnt)
-                 for each in self.models]
+        known = np.array([each.known(x, learnt) for each in self.models])
+        found = [each.predict_desired(x, *((shown, needed) if each.columns.effects else plain), share)
+                 for each, share in zip(self.models, known.tolist(), strict=True)]
         noise = np.array([each.model.noise_std for each in self.models])
         beyond = ELSEWHERE**2 * self.carried.expected(noise)**2 - noise**2
         covariances = np.array([each.covariance for each in found])
         covariances += beyond[:, :, None] * np.eye(len(noise[0]))
-        weights = self._weights_elsewhere()
+        weights, of_blocks = self._weights_elsewhere(known), self._weights_elsewhere()
         means = np.array([each.shown for each in found])
-        mean, covariance = pool_together(weights, means, covariances)
-        shares = pool_weights(weights, np.sqrt(covariances.diagonal(axis1=1, axis2=2)))
-        return DesiredOutputs(mean, (shares * np.array([each.needed for each in found])).sum(axis=0), covariance,
-                              float(shares.mean(axis=1) @ [each.variance_ratio for each in found]))
+        mean, covariance = pool_together(weights, means, covariances, of_blocks)
+        std = np.sqrt(covariances.diagonal(axis1=1, axis2=2))
+        needed = (pool_weights(weights, std) * np.array([each.needed for each in found])).sum(axis=0)
+        ratio = pool_weights(of_blocks, std).mean(axis=1) @ [each.variance_ratio for each in found]
+        return DesiredOutputs(mean, needed, covariance, float(ratio))
 
-    def _weights_elsewhere(self) -> Array:
+    def _weights_elsewhere(self, known: Array | None = None) -> Array:
         """(K, n) by the errors on blocks that were left out. Before the first of these, features
         are not taken to know anything elsewhere: the models without any weigh by their evidence,
-        where there are such."""
-        if len(self.carried.squares):
-            return self.carried.weights
+        where there are such.
+
+        :param known: (K,) of each model at a state; None: all. A model is as likely beforehand, and
+            by the root of it the errors on blocks are its own; else those of the best without
+            features are.
+        """
         without = np.array([each.model.features is None for each in self.models])
-        weights = self.weights * (without | ~without.any())[:, None]
-        return np.asarray(weights / weights.sum(axis=0))
+        if not len(self.carried.squares):
+            weights = self.weights * (without | ~without.any())[:, None]
+            return np.asarray(weights / weights.sum(axis=0))
+        log_weights = self.carried.log_weights
+        if known is not None and without.any():
+            alike, likely = np.sqrt(known)[:, None], known / len(known)
+            likely[without] += (1.0 - likely.sum()) / without.sum()
+            log_weights = alike * log_weights + (1.0 - alike) * log_weights[without].max(axis=0)
+            with np.errstate(divide='ignore'):
+                log_weights += np.log(likely)[:, None]
+        return shares(log_weights - log_weights.max(axis=0))
 
     def state(self) -> tuple[tuple[ModelState, ...], dict[str, Array | Stamps], dict[str, Array | Stamps]]:
         """Copies of what each model has learnt, of the errors of left-out blocks, and of the

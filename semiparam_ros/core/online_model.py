@@ -75,21 +75,24 @@ class OnlineModel:
     def _mean(self, prior: Prior) -> Array:
         return prior.mean if self.wandering is None else prior.mean + self.wandering.offset
 
-    def predict_desired(self, x: Array, shown: Array, needed: Array, learnt: LearntInputs) -> DesiredOutputs:
+    def known(self, x: Array, learnt: LearntInputs) -> float:
+        """Share of the variance of the features at x (m,) that the inputs ``learnt`` take away; 1
+        without features."""
+        recursion, features = self.model.recursion, self.model.features
+        return 1.0 if features is None else learnt.known(x, features, (recursion.sigma / recursion.rho)**2)
+
+    def predict_desired(self, x: Array, shown: Array, needed: Array, known: float) -> DesiredOutputs:
         """Outputs at x (m,), from the columns (n, p) of what the sensor shows and of what the arm
         needs.
 
-        Without the wandering offset, which is that of the last moments' motion. Features fade with
-        the distance from the inputs ``learnt``, as their kernel does.
+        Without the wandering offset, which is that of the last moments' motion. Features fade as
+        little is :meth:`known`.
         """
         model, recursion, features = self.model, self.model.recursion, self.model.features
-        phi, unknown = np.zeros(0), 0.0
-        if features is not None:
-            known = learnt.known(x, features, (recursion.sigma / recursion.rho)**2)
-            phi, unknown = np.sqrt(known) * features(x), (1.0 - known) * recursion.rho**2
+        phi = np.zeros(0) if features is None else np.sqrt(known) * features(x)
         prior = model.predict_by(recursion, phi, shown)
         of_sensor = (shown - needed)[:, model.covered] @ model.theta
-        covariance = prior.covariance + unknown * np.diag(recursion.scale**2)
+        covariance = prior.covariance + (1.0 - known) * recursion.rho**2 * np.diag(recursion.scale**2)
         ratio = ((covariance.diagonal() - prior.extra_variance) / model.noise_std**2).max() - 1.0
         return DesiredOutputs(prior.mean, prior.mean - of_sensor, covariance, float(ratio))
 

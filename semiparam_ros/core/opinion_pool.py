@@ -25,16 +25,20 @@ def pool_weights(weights: Array, std: Array) -> Array:
     return np.asarray(shares / shares.sum(axis=-2, keepdims=True))
 
 
-def pool_together(weights: Array, means: Array, covariances: Array) -> tuple[Array, Array]:
+def pool_together(weights: Array, means: Array, covariances: Array,
+                  disagreeing: Array | None = None) -> tuple[Array, Array]:
     """(n,) mean and (n, n) covariance of the pool, from (K, n), (K, n) and (K, n, n); its diagonal
     has the variances.
 
     Between outputs that weigh differently the geometric mean weighs, which keeps the matrix
     positive definite.
+
+    :param disagreeing: (K, n) weights by which the models' disagreement counts; ``weights`` unless given.
     """
-    shares = pool_weights(weights, np.sqrt(covariances.diagonal(axis1=1, axis2=2)))
+    std = np.sqrt(covariances.diagonal(axis1=1, axis2=2))
+    shares = pool_weights(weights, std)
     roots, mean = np.sqrt(shares), (shares * means).sum(axis=0)
-    apart = roots * (means - mean)
+    apart = (roots if disagreeing is None else np.sqrt(pool_weights(disagreeing, std))) * (means - mean)
     return mean, np.einsum('mk,mkj,mj->kj', roots, covariances, roots) + apart.T @ apart
 
 

@@ -222,9 +222,9 @@ class _Solution:
         one after another, the nearest first.
 
         What they bring must be less than a nat for each of their parameters that can be identified
-        (Akaike 1974). Where parts can be left out of the fit, they must besides be predicted within
-        one standard error as well as with all links free (Breiman, Friedman, Olshen and Stone
-        1984).
+        (Akaike 1974). Where there are samples, parts of them must besides be predicted within one
+        standard error as well as with all links free (Breiman, Friedman, Olshen and Stone 1984). So
+        a model that is less sure than it could be does not keep a wrong description.
         """
         self._held[:] = everything
         if everything:
@@ -247,13 +247,15 @@ class _Solution:
                 self._held = before
 
     def _left_out_errors(self, estimate: Estimate) -> Array:
-        """Normalised errors (FOLDS,) on parts left out of the fit; (0,) where none can be."""
-        table = estimate.table if estimate.held_out else None
+        """Normalised errors (FOLDS,) on parts of the samples, left out of the fit where it can be
+        done anew; (0,) where there are no samples."""
+        table = estimate.table
         if table is None:
             return np.zeros(0)
-        pairs = zip(table.folds, table.fold_estimates, strict=True)
-        return np.array([float(np.nanmean(table.error(self.found(*fitted)[2], fold)))
-                         for fold, fitted in pairs])
+        fits = table.fold_estimates if estimate.held_out else [(estimate.mean, estimate.information)]
+        thetas = [self.found(*fitted)[2] for fitted in fits] * (len(table.folds) // len(fits))
+        return np.array([float(np.nanmean(table.error(theta, fold)))
+                         for theta, fold in zip(thetas, table.folds, strict=True)])
 
     def found(self, mean: Array, information: Array) -> tuple[dict[str, Array], Array, Array]:
         """Links and loads (n, 10), and theta (p,) with all else as it then is most probable."""

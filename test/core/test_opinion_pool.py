@@ -39,6 +39,12 @@ def test_covariances_of_models_that_are_alike_but_for_their_means_hold_what_thes
     np.testing.assert_allclose(covariance, covariances[0] + 0.25 * 0.75 * np.outer([2.0, -4.0], [2.0, -4.0]))
 
 
+def test_disagreement_may_count_by_weights_of_its_own():
+    means, covariances = np.array([[1.0], [3.0]]), np.array([[[2.0]]] * 2)
+    mean, covariance = pool_together(np.array([[0.0], [1.0]]), means, covariances, np.array([[0.5], [0.5]]))
+    np.testing.assert_allclose((mean[0], covariance[0, 0]), (3.0, 2.0 + 0.5 * 2.0**2))
+
+
 def test_who_is_not_sure_of_a_sample_hardly_counts():
     mean, std = pool(np.array([[0.9], [0.1]]), np.array([[50.0], [1.0]]), np.array([[100.0], [0.1]]))
     assert abs(mean[0] - 1.0) < 0.001 and std[0] < 0.4

@@ -85,6 +85,16 @@ def test_torques_on_unseen_motion_are_those_of_the_true_arm(arm):
     assert error_on_unseen_motion(URDF) > 0.1
 
 
+def test_links_change_where_samples_show_it_though_the_model_is_hardly_sure():
+    """Noise that a node took for a thousand times what it is; its samples say that links are not as described."""
+    samples = recording(EFFORTS, seed=1, prepare=rubbing)
+    estimate = from_recording(EFFORTS.body, [], samples, True, False, 'it')
+    unsure = estimate._replace(information=1e-3 * estimate.information, held_out=False)
+    without, judged = (identified_urdf(URDF, identify(each, described_links(URDF)), '')
+                       for each in (unsure._replace(table=None), unsure))
+    assert error_on_unseen_motion(judged) < 0.01 < error_on_unseen_motion(without)
+
+
 def true_torques(samples, prepare):
     """(N, n) inverse dynamics of the true arm, by MuJoCo."""
     from support.mujoco_arm import built
