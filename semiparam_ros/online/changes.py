@@ -656,8 +656,8 @@ class ChangeDetector:
             return None
         if best is None or best.evidence < SURE:
             return None
-        if again and followed is not None and followed.cause == best.cause:
-            return None
+        if again and followed is not None and best.cause in (followed.cause, self.causes[-1]):
+            return None  # what no known kind explains better is named all the same
         return self._change(stamp, best)
 
     def likeliest(self) -> Judged | None:
