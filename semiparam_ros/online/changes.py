@@ -97,8 +97,8 @@ CONTACT_S = 6.0
 LASTING = round(CONTACT_S / BLOCK_S)
 """[blocks] What has lasted so long is told, though other causes may be as likely; what no known kind
 explains not before."""
-OVER = (0, 4, 8, 16)
-"""[blocks] So long ago a contact may have been over."""
+BREAK = 4
+"""[blocks] The next contact begins so much later at least."""
 CALM = 0.5
 """Below this share of what stands out, nothing does."""
 PER_HOUR = 0.1
@@ -686,25 +686,25 @@ class ChangeDetector:
         learns = self._learning(grams, sums)
         now, noise = len(self._blocks), np.full(len(starts), self.noise)
         brief = np.maximum(starts, now - LASTING)  # what began before is no contact, if it acts yet
-        lasts = 2.0 * noise * _likeliest_of(self._acting(noise, now), starts, brief)
-        explained = np.max([*(fit.explained for fit in (learns, *fits)), lasts], axis=0)
+        explained = np.max([fit.explained for fit in (learns, *fits)], axis=0)
+        if (starts < brief).any():
+            lasts = _likeliest_of(self._acting(noise, [now])[:, 0], starts, brief)
+            explained = np.maximum(explained, 2.0 * noise * lasts)
         left = _since(power, starts) - explained
         growth = np.maximum(left / (np.median(self._power) * counts), 1.0)
         kappa = self.noise * STEP ** np.round(np.log(growth) / log(STEP))
         learning = np.maximum(learns.evidence(kappa), learns.evidence(kappa, kappa[:, None]))
         known = self._known(starts, power, followed) / (2.0 * kappa)
         alone = np.array([fit.evidence(kappa) - fit.cause.price for fit in fits])
-        acting = self._acting(kappa, now)
-        lasts = _likeliest_of(acting, starts, brief) - fits[-1].cause.price
+        acting = self._acting(kappa, [now])
+        lasts = _likeliest_of(acting[:, 0], starts, brief) - fits[-1].cause.price
         alone[-1] = np.maximum(alone[-1], lasts)
         late = starts + (counts + 1) // 2
         later = _since(blocks, late), _since(moments, late)
         touched = np.zeros(len(starts))
-        for end in (now - ago for ago in OVER if ago < now):
-            # what is not likelier than one of these contacts is not told
-            acting = acting if end == now else self._acting(kappa, end)
-            since = np.maximum(starts, end - LASTING)
-            touched = np.maximum(touched, _likeliest_of(acting, since, np.full(len(since), end)))
+        for ends in (np.array([now]), np.arange(1, now)):  # what is no likelier than one of these is not told
+            before = acting if len(ends) and ends[0] == now else self._acting(kappa, ends)
+            touched = np.maximum(touched, _contacts(before, acting[:, 0], starts, ends))
             beside = _beside(fits, alone, np.max([learning, touched, known], axis=0), counts)
             judged = [
                 likeliest_window(fit, evidence, kappa, counts, *later)
@@ -755,19 +755,20 @@ class ChangeDetector:
             LEARNING, root.T @ grams[:, part[:, None], part] @ root, sums[:, part] @ root
         )
 
-    def _acting(self, kappa: Array, end: int) -> Array:
-        """(B, S) log evidence over none of what acts at the hand, or on each output, since each of
-        the blocks and until ``end``, under noise kappa (S,)."""
+    def _acting(self, kappa: Array, ends: Indices | list[int]) -> Array:
+        """(B, E, S) log evidence over none of what acts at the hand, or on each output, since each
+        of the blocks and until some, under noise kappa (S,)."""
         kappa, which = np.unique(kappa, return_inverse=True)
-        return self._contact(list(self._blocks)[:end], kappa)[:, which]
+        return self._contact(list(self._blocks), kappa, np.array(ends, dtype=int))[..., which]
 
-    def _contact(self, blocks: Sequence[MotionBlock], kappa: Array) -> Array:
-        """(B, S) log evidence of a contact since each of some blocks, under noise kappa (S,)."""
-        own = np.array([block.own for block in blocks])
-        each = wandering(*edge_sums(own), np.square(self._felt_scale)[:, None], kappa[:, None])
+    def _contact(self, blocks: Sequence[MotionBlock], kappa: Array, ends: Indices) -> Array:
+        """(B, E, S) log evidence of a contact since each of some blocks and until others, under
+        noise kappa (S,)."""
+        own, scale = np.array([block.own for block in blocks]), np.square(self._felt_scale)
+        each = wandering(*edge_sums(own), scale[:, None], kappa[:, None], ends)
         each = (np.logaddexp(each, 0.0) - log(2.0)).sum(axis=-1)  # each output feels it or not
         grams, moments = (np.array(sums) for sums in zip(*(b.wrench for b in blocks), strict=True))
-        at_hand = wandering(grams, moments, WRENCH**2, kappa)
+        at_hand = wandering(grams, moments, WRENCH**2, kappa, ends)
         return np.asarray(np.maximum(each, at_hand).max(axis=1))
 
     def contact_rather(self, row: int, came: bool, since: int, shares: Array) -> bool:
@@ -788,9 +789,10 @@ class ChangeDetector:
         after = blocks[1:]
         added = np.sum([block.added[row] for block in after], axis=0)
         usual = float(np.median(self._power)) * len(after)
-        kappa = self.noise * max(float(np.square(shares) @ added[1]) / usual, 1.0)
+        kappa = self.noise * max(float((np.square(shares) * added[1]).sum()) / usual, 1.0)
         known = float(gained(added, came).sum() / (2.0 * kappa))
-        return known <= max(float(self._contact(after, np.array([kappa])).max()), 0.0)
+        touched = self._contact(after, np.array([kappa]), np.array([len(after)]))
+        return known <= max(float(touched.max()), 0.0)
 
     def _end(self, followed: Followed) -> int | None:
         """Since when [ns] the change that is followed is over; None while it is there."""
@@ -853,6 +855,20 @@ class ChangeDetector:
         self.touched, self.followed = False, Followed(change, judged, blocks)
         self._compared = np.zeros(3)
         return change
+
+
+def _contacts(before: Array, acting: Array, starts: Indices, ends: Indices) -> Array:
+    """(S,) log evidence over none of the likeliest contact that began at any block since each of
+    some starts, was over at one of some, and lasted as long as one may; and of one after a break.
+
+    :param before: (B, E, S) of what acts until one of the ends. :param acting: (B, S) until now.
+    """
+    found, now = [np.zeros(len(starts))], np.full(len(starts), len(acting))
+    for number, end in enumerate(ends):
+        ended, began = np.full(len(starts), end), np.maximum(starts, end - LASTING)
+        one = _likeliest_of(before[:, number], began, ended)
+        found.append(one + _likeliest_of(acting, ended + BREAK, now))
+    return np.max(found, axis=0)
 
 
 def _likeliest_of(acting: Array, first: Indices, last: Indices) -> Array:

@@ -13,7 +13,7 @@ import numpy as np
 from semiparam_ros.core.robot.external_wrench import FORCE_N, LEVER_M
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.robot.size import reach_of, size_beyond
-from semiparam_ros.core.types import Array
+from semiparam_ros.core.types import Array, Indices
 
 WANDERS = (0.3, 0.1, 0.03)
 """[shares of its prior's standard deviation] What acts in a contact changes so much from block to
@@ -37,34 +37,39 @@ def edge_sums(own: Array) -> tuple[Array, Array]:
     return np.moveaxis(np.array(gram), (0, 1), (-2, -1)), np.stack([pulled - late, late], axis=-1)
 
 
-def wandering(grams: Array, moments: Array, variance: Array, kappa: Array) -> Array:
-    """(B, D, ...) log evidence over none of what wanders through the blocks from each on: a random
-    walk, its steps each of D = ``WANDERS``, by the Kalman filter from the last block back.
+def wandering(
+    grams: Array, moments: Array, variance: Array, kappa: Array, ends: Indices
+) -> Array:
+    """(B, D, E, ...) log evidence over none of what wanders through the blocks from each on, until
+    one of E blocks in which it is over: a random walk, its steps each of D = ``WANDERS``, by the
+    Kalman filter from the last block back.
 
     :param grams: (B, ..., 2 k, 2 k) of blocks, for values (k,) when they begin and end.
     :param moments: (B, ..., 2 k). :param variance: (..., k) of its prior. :param kappa: (S, ...)
-        the noise.
+        the noise. :param ends: (E,) numbers of blocks; from there on there is no evidence of it.
     """
     k = variance.shape[-1]
     prior = variance[..., None] * np.eye(k)
-    step = np.square(WANDERS).reshape(-1, *np.ones(kappa.ndim + 2, dtype=int)) * prior
-    shape = np.broadcast_shapes(step.shape[:-2], kappa.shape, moments.shape[1:-1])
-    end = np.broadcast_to(prior, (*shape, k, k))
-    mean = np.zeros((*shape, k, 1))
+    step = np.square(WANDERS).reshape(-1, 1, *np.ones(kappa.ndim + 2, dtype=int)) * prior
+    shape = np.broadcast_shapes(step.shape[:-2], (len(ends), *kappa.shape), moments.shape[1:-1])
+    end, mean = np.empty((*shape, k, k)), np.zeros((*shape, k, 1))
     found, total = np.zeros((len(grams), *shape)), np.zeros(shape)
-    for block in reversed(range(len(grams))):
+    for block in reversed(range(max(ends, default=0))):
+        acts = np.asarray(ends) > block
+        end[:, np.asarray(ends) == block + 1] = prior
         gram = grams[block] / kappa[..., None, None]
         moment = (moments[block] / kappa[..., None])[..., None]
-        begins = np.concatenate([end + step, end], axis=-1)
-        covariance = np.concatenate([begins, np.concatenate([end, end], axis=-1)], axis=-2)
-        old = np.concatenate([mean, mean], axis=-2)
+        one, then = end[:, acts], mean[:, acts]
+        begins = np.concatenate([one + step, one], axis=-1)
+        covariance = np.concatenate([begins, np.concatenate([one, one], axis=-1)], axis=-2)
+        old = np.concatenate([then, then], axis=-2)
         whole = np.eye(2 * k) + covariance @ gram
         solved = np.linalg.solve(
             whole, np.concatenate([covariance, old + covariance @ moment, old], axis=-1)
         )
         now, before = solved[..., -2:-1], solved[..., -1:]
         gained = moment * now + before * (moment - gram @ old)
-        total = total + 0.5 * (gained.sum(axis=(-2, -1)) - np.linalg.slogdet(whole)[1])
-        found[block] = total
-        mean, end = now[..., :k, :], solved[..., :k, :k]
+        total[:, acts] += 0.5 * (gained.sum(axis=(-2, -1)) - np.linalg.slogdet(whole)[1])
+        found[block] = np.where(acts.reshape(-1, *np.ones(len(shape) - 2, dtype=int)), total, 0.0)
+        mean[:, acts], end[:, acts] = now[..., :k, :], solved[..., :k, :k]
     return found

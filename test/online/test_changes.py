@@ -153,17 +153,19 @@ def test_the_evidence_of_a_contact_is_that_of_a_random_walk():
     grams = np.array([row[:, part].T @ row[:, part] for row, part in zip(each, inside, strict=True)])
     pulled = outputs.reshape(blocks, -1)
     moments = np.array([row[:, part].T @ y for row, part, y in zip(each, inside, pulled, strict=True)])
-    found = wandering(grams, moments, variance, np.array([kappa]))
-    for begin in range(blocks):
-        design, y = rows[begin:].reshape(-1, (blocks + 1) * k), pulled[begin:].ravel()
-        steps = blocks - np.arange(blocks + 1)
-        for column, share in enumerate(WANDERS):
-            walk = 1.0 + share**2 * np.minimum.outer(steps, steps)
-            noise = kappa * np.eye(len(y))
-            prior = np.kron(walk, np.diag(variance))
-            expected = multivariate_normal(cov=design @ prior @ design.T + noise).logpdf(y)
-            expected -= multivariate_normal(cov=noise).logpdf(y)
-            assert found[begin, column, 0] == pytest.approx(expected, rel=1e-9)
+    found = wandering(grams, moments, variance, np.array([kappa]), np.array([blocks, 2]))
+    for column, end in enumerate((blocks, 2)):
+        assert not found[end:, :, column].any()
+        for begin in range(end):
+            design, y = rows[begin:end].reshape(-1, (blocks + 1) * k), pulled[begin:end].ravel()
+            steps = end - np.minimum(np.arange(blocks + 1), end)
+            for row, share in enumerate(WANDERS):
+                walk = 1.0 + share**2 * np.minimum.outer(steps, steps)
+                noise = kappa * np.eye(len(y))
+                prior = np.kron(walk, np.diag(variance))
+                expected = multivariate_normal(cov=design @ prior @ design.T + noise).logpdf(y)
+                expected -= multivariate_normal(cov=noise).logpdf(y)
+                assert found[begin, row, column, 0] == pytest.approx(expected, rel=1e-9)
 
 
 def test_a_jump_of_the_sensor_is_told_from_a_load():
