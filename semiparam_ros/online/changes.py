@@ -784,15 +784,14 @@ class ChangeDetector:
         blocks = [block for block in self._blocks if block.start >= since and len(block.added) == m]
         if len(blocks) < 2:
             return True
-        if len(blocks) > LASTING:
-            return False
         after = blocks[1:]
         added = np.sum([block.added[row] for block in after], axis=0)
         usual = float(np.median(self._power)) * len(after)
         kappa = self.noise * max(float((np.square(shares) * added[1]).sum()) / usual, 1.0)
         known = float(gained(added, came).sum() / (2.0 * kappa))
-        touched = self._contact(after, np.array([kappa]), np.array([len(after)]))
-        return known <= max(float(touched.max()), 0.0)
+        ends = np.arange(1, len(after) + 1)
+        acting = self._contact(after, np.array([kappa]), ends)
+        return known <= float(_contacts(acting, acting[:, -1], np.array([0]), ends)[0])
 
     def _end(self, followed: Followed) -> int | None:
         """Since when [ns] the change that is followed is over; None while it is there."""

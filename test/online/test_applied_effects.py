@@ -165,15 +165,18 @@ def test_what_was_learnt_before_a_push_stood_out_is_taken_back():
 
 @pytest.mark.parametrize('stiffness', [20.0, 40.0])
 def test_what_no_effect_explains_is_learnt_and_told_no_more(monkeypatch, stiffness):
-    """It was told anew every few seconds, or applied and taken back, and never learnt."""
+    """It was told anew every few seconds, or applied and taken back, and never learnt.
+
+    It is named a force, which may be over at any time: so it is held for thirty seconds before.
+    """
     monkeypatch.setattr(CableSpring, 'may_come', False)
     body, samples = caught(stiffness=stiffness)
     stage = offered(body, samples, diagnosis_auto='apply')
     noticed = [(record.change.noticed - samples.origin) * 1e-9 for record in stage.changes]
-    assert max(noticed) < 110.0
+    assert max(noticed) < 118.0
     learning = stage.learner.history.batch().learning
     time = samples.time[: len(learning)]
-    assert np.mean(learning[(time > 105.0) & (time < 125.0)] > 0) > 0.95
+    assert np.mean(learning[(time > 118.0) & (time < 128.0)] > 0) > 0.95
 
 
 def test_an_offset_that_came_for_seconds_is_remembered_no_more_and_one_that_stayed_is():

@@ -279,7 +279,7 @@ def test_a_change_knows_since_when_it_was_taken_for_a_contact():
     """What a name is looked for in begins there, not when it was told."""
     (body, picked_up, _), (_, alone), (_, push) = loaded((76.0, 100.0)), free(), pushed(seconds=5.0)
     both = replace(picked_up, outputs=picked_up.outputs + push.outputs - alone.outputs)
-    first = offered(body, both[both.time < 80.0]).changes[0].change
+    first = offered(body, both[both.time < 85.0]).changes[0].change
     touched_s, since_s = ((stamp - both.origin) * 1e-9 for stamp in (first.touched, first.since))
     assert touched_s == pytest.approx(70.0, abs=0.5)
     assert since_s > touched_s + 1.0
