@@ -9,7 +9,7 @@ import pytest
 from semiparam_ros.core.robot import rigid_body
 from semiparam_ros.core.robot import urdf as urdf_tree
 from semiparam_ros.core.robot.arm_motion import FEW
-from semiparam_ros.core.robot.frames import force_maps, frame_motion, loaded_links, observed_links
+from semiparam_ros.core.robot.frames import force_maps, frame_motion, loaded_links, nearest_link, observed_links
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.errors import SemiparamError
@@ -411,3 +411,15 @@ def test_units_along_a_joint_that_slides():
         'm', 'm/s', 'N', 'N s/m', 'N s/(m K)', 'kg', '1/N', '1/N^2', 's']
     assert tuple(body.joint_unit('turn', unit) for unit in turning) == turning
     assert icub().output_units == ('N',) * 3 + ('N m',) * 3
+
+
+@pytest.mark.parametrize(('outputs', 'frame'), [('effort', None), ('wrench', 'mid_link_ft')])
+@pytest.mark.parametrize('joints', [('lift', 'turn', 'elbow'), ('turn', 'elbow', 'grip')])
+def test_a_load_hangs_on_no_link_beyond_a_locked_joint(joints, outputs, frame):
+    body = RigidBody.from_urdf(ODD_ARM, joints, outputs, frame, locked={'grip_mimic': 0.3})
+    assert 'thumb' in observed_links(body) and 'thumb' not in loaded_links(body)
+    assert ('finger' in loaded_links(body)) == ('grip' in joints)
+    assert 'tool' in loaded_links(body)
+    inside = body.arm.frames[body.arm.getFrameId('thumb')].placement.translation  # forearm and body share their frame
+    assert nearest_link(body, 'forearm', inside)[0] == 'tool'
+    assert nearest_link(body, 'thumb', np.zeros(3))[0] == 'thumb'

@@ -38,15 +38,16 @@ class FrameMotion(NamedTuple):
 
 
 def loaded_links(body: RigidBody) -> dict[str, int]:
-    """For each body that the outputs feel, the farthest of its links with mass or children, and the body's number.
+    """For each body that the outputs feel, the farthest of its links, and the body's number.
 
-    These are the places where a load or an outside force can be told from another body's.
+    These are the places where a load or an outside force can be told from another body's. None is beyond a locked
+    joint: what is carried there would move with a finger.
     """
     model = body.arm if body.distal is None else body.distal
     links: dict[int, tuple[float, str]] = {}
     for frame in model.frames:
         joint = frame.parentJoint
-        if frame.type != pin.FrameType.BODY or joint == 0:
+        if frame.type != pin.FrameType.BODY or joint == 0 or frame.name in body.held:
             continue
         reach = float(np.linalg.norm(frame.placement.translation))
         if joint not in links or reach > links[joint][0] + 1e-9:
@@ -172,15 +173,15 @@ def _on_sensor(body: RigidBody, position: Array, rotation: Array, sensor: Array)
 
 
 def nearest_link(body: RigidBody, link: str, point: Array) -> tuple[str, Array]:
-    """Return the link, of those beside ``link``, whose origin is nearest to a point (3,) [m], and
-    the point in its frame.
+    """Return the link, of those beside ``link`` and not beyond a locked joint, whose origin is
+    nearest to a point (3,) [m], and the point in its frame.
 
     :param point: in the frame of ``link``.
     """
     model = body.arm if body.distal is None else body.distal
     place = model.frames[_frame(model, link, body)].placement.act(point)
     inside = {name: model.frames[_frame(model, name, body)].placement.actInv(place)
-              for name in links_beside(body, link)}
+              for name in links_beside(body, link) if name == link or name not in body.held}
     nearest = min(inside, key=lambda name: float(np.linalg.norm(inside[name])))
     return nearest, inside[nearest]
 
