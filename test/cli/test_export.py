@@ -123,6 +123,17 @@ def test_a_mistake_is_one_sentence_and_no_file(folder, tmp_path, monkeypatch, ca
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize('option, sentence', [
+    ('--gravity-filter', 'bodies hang on the sensor and move against each other'),
+    ('--crisp-friction', 'no friction is known; expected outputs: effort')])
+def test_a_form_that_the_robot_cannot_fill_is_refused_before_the_fit(folder, tmp_path, monkeypatch, capsys, option,
+                                                                     sentence):
+    monkeypatch.setattr('semiparam_ros.export.estimate.from_recording', lambda *args: pytest.fail('it was fitted'))
+    assert sentence in refusal(capsys, 'export', folder / 'arm.mcap', '--params', folder / 'p.yaml', option,
+                               tmp_path / 'x')
+    assert not (tmp_path / 'x').exists()
+
+
 def test_what_a_wrong_sign_explains_is_no_robot(folder, tmp_path, monkeypatch, capsys):
     """Bodies were written that no inertia explains, of a recording that a diagnosis refuses."""
     monkeypatch.chdir(tmp_path)
