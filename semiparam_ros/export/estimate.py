@@ -200,8 +200,8 @@ def from_estimator(estimator: Estimator, samples: Samples | None, name: str) -> 
     Raises SemiparamError when it has learnt no rigid body.
     """
     if not estimator.ready:
-        raise SemiparamError(f'{name} holds no model yet; expected one whose initial window is '
-                             'over.')
+        raise SemiparamError(f'{name} holds no model yet: there is none until '
+                             f'{estimator.model_comes}.')
     model = estimator.rigid_body_model
     if model.variant.pi != 'learnt':
         raise SemiparamError(f'{name} learns no inertial parameters: its variant is '

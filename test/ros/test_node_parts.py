@@ -128,7 +128,8 @@ def test_a_payload_is_withheld_while_nobody_can_know_it_and_has_the_stamp_of_the
     stage, samples = Stage(replace(SETTINGS, variant='P')), motion(200)
     tally = Tally(stage.learner.body.joints)
     stage.offer(samples[:30])
-    assert believed_load(stage.learner, tally) == (None, 'withheld: the initial window is not over.')
+    assert believed_load(stage.learner, tally) == (
+        None, 'withheld until the initial window is over, which has 30 of 60 samples of motion.')
     stage.offer_and_build(samples[30:190])
     stage.offer(samples[190:])
     for answer in stage.answers:

@@ -224,7 +224,7 @@ class DesiredTrajectory:
 
     def _tell_withheld(self) -> None:
         """Once when it begins, and once when trajectories are answered again: a controller sends many a second."""
-        if self.feedforward.withheld != self._warned:
+        if bool(self.feedforward.withheld) != bool(self._warned):
             self._warned, self._told = self.feedforward.withheld, set()
             self._warn(self._warned or 'desired trajectories are answered.')
 

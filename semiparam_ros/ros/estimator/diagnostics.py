@@ -405,7 +405,7 @@ def errors_report(errors: InternalErrors, duplicates: str) -> Report:
 def believed_load(learner: Learner, tally: Tally) -> tuple[Load | None, str]:
     """Load that the arm carries; None and the reason while that cannot be told."""
     if not learner.estimator.ready:
-        return None, 'withheld: the initial window is not over.'
+        return None, f'withheld until {learner.estimator.model_comes}.'
     detector, (picked, load) = learner.changes.detector, learner.changes.picked
     if picked and load is None:
         return None, 'withheld: something was just picked up or put down, and is being named.'
