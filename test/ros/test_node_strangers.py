@@ -51,6 +51,22 @@ def test_a_gripper_and_absent_accelerations_are_nothing_to_warn_of(start_node):
     assert "must name joint 'b' once" in message
 
 
+def test_a_driver_that_leaves_velocities_empty_after_a_reconnect_is_followed(start_node):
+    _, client = start_node(Settings.from_mapping({**SETTINGS.mapping(), 'sensor_frame': '', 'outputs': 'effort',
+                                                  'variant': 'P'}))
+    client.offer('joint_states')
+    samples = motion(600)
+    play(client, samples[:100])
+    for sample in samples[100:400]:
+        client.state(sample, JOINTS, velocity=[], effort=sample.position.tolist())
+        time.sleep(0.01)
+    _, _, values = client.wait_report('inputs', lambda level, message, values: level == DiagnosticStatus.OK and
+                                      message == 'receiving; velocities are estimated from the positions.')
+    assert values['refused: wrong_length'] == '3' and 'before it held velocities' in values['last refusal']
+    play(client, samples[400:])
+    assert len(client.stamps('residual')) == 597
+
+
 def test_who_forgets_that_a_robot_has_efforts_alone_is_told(start_node):
     node, client = start_node(replace(SETTINGS, variant='P'))
     client.offer('joint_states')

@@ -211,7 +211,9 @@ class InputReport:
         if cold:
             return Report(WARN, f'no temperature of {listed(cold)} for more than {TEMPERATURE_SILENCE_S:g} s; answers '
                                 f'go on with the last one.{self._ignored()}', values)
-        return Report(OK, 'receiving.', values)
+        stream = self._inputs.stream
+        estimated = stream is not None and not stream.velocities_measured
+        return Report(OK, f'receiving{"; velocities are estimated from the positions" * estimated}.', values)
 
     def _refusals(self, news: Counter[str]) -> str:
         """What was refused since the last report: the last sentence of each reason."""
