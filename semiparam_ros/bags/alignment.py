@@ -230,8 +230,8 @@ class SampleStream:
         else:
             assert self._velocity_filter is not None
             if self._measured is not None:
-                before, values = self._measured
-                self._velocity_filter.begin(before, values[:n], values[n:2 * n])
+                before, known = self._measured
+                self._velocity_filter.begin(before, known[:n], known[n:2 * n])
             self.velocities_measured, self._measured = False, None
             row = np.concatenate((row[:n], self._velocity_filter.update(stamp, row[:n]), row[n:]))
         state = row[:2 * n]

@@ -199,7 +199,7 @@ def test_changes_that_are_applied_beside_the_model_are_exported_with_it(folder, 
 
 def test_a_state_without_a_rigid_body_tells_nothing(folder, tmp_path, capsys):
     settings, stage = staged(tmp_path / 'p.yaml', 'NP-ML')
-    for count, sentence in ((0, 'holds no model yet: there is none until the initial window is over, which has 0 of 200 '),
+    for count, sentence in ((0, 'there is none until the initial window is over, which has 0 of 200 samples'),
                             (300, 'its variant is NP-ML; expected P, SPK-ML or auto')):
         stage.offer(load_samples(folder / 'arm.mcap', settings).samples[:count])
         state_file.save(tmp_path / 's.npz', stage.learner.state())
