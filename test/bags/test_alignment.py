@@ -332,3 +332,24 @@ def test_a_sentence_stays_readable_whatever_a_stranger_sent():
     assert len(samples.last_fault) < 700 and '9993 more' in samples.last_fault and samples.last_fault.endswith('.')
     feed(samples, wrench(2 * MS, 7.0, frame='elsewhere' * 10_000))
     assert len(samples.last_fault) < 700 and samples.last_fault.endswith("expected 'sensor'.")
+
+
+def test_of_several_publishers_one_that_tells_of_another_place_is_refused():
+    """Seconds of a stranger's zeros were learnt, and spoilt what changes were named for a minute."""
+    samples, spared = (stream(outputs='effort') for _ in range(2))
+    samples.shared = True
+    for step in range(100, 200):
+        good = moving(10 * MS * step, 'effort')
+        assert same(feed(samples, good), feed(spared, good))
+        for position in ((0.0, 0.0), (good[3][0] + 2 * math.pi, 0.0)):
+            assert not feed(samples, ('joint_state', good[1] + 5 * MS, JOINTS, position, (0.0, 0.0), (0.0, 0.0)))
+    assert samples.faults == {'elsewhere': 200}
+    assert samples.last_fault == (
+        "joint state at 1.995000000 s has 'knee' 1.99 rad or m from where it was 0.005 s before: several publish joint "
+        'states, and this one is of another robot.')
+    turned = good[3][0] - 2 * math.pi, good[3][1] + 0.01
+    assert feed(samples, ('joint_state', good[1] + 10 * MS, JOINTS, turned, (0.0, 0.0), (0.0, 0.0)))
+    feed(samples, ('joint_state', good[1] + 15 * MS, JOINTS, (0.0, math.inf), (0.0, 0.0), (0.0, 0.0)))
+    feed(samples, ('joint_state', good[1] + 15 * MS, JOINTS, (0.0, 1e160), (0.0, 0.0), (0.0, 0.0)))
+    assert samples.faults == {'elsewhere': 200, 'not_finite': 1, 'out_of_range': 1}
+    assert len(feed(samples, ('joint_state', good[1] + 200 * MS, JOINTS, (0.0, 0.0), (0.0, 0.0), (0.0, 0.0)))) == 1

@@ -521,7 +521,7 @@ class Reports:
                      'reliability: best_effort hears both.', self._node.get_logger().warning)
         for topic, owners in self._inputs.newly_shared():
             self.say(f'{len(owners)} publish on {topic}: {", ".join(owners)}. All that holds this robot\'s joints or '
-                     'sensor is learnt.', self._node.get_logger().warning)
+                     'sensor is learnt, but for joint states that jump.', self._node.get_logger().warning)
         learner = self._learner()
         self._log_stage(learner)
         if learner is None:
