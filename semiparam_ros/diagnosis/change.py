@@ -136,7 +136,8 @@ def _ranked(fit: Fit, known: Sequence[Effect], since_s: tuple[float, float],
     first."""
     begun = (_tried(fit, effect, since_s, ended_s) for effect in _candidates(fit))
     over = [_over(fit, effect, since_s) for effect in known
-            if (effect.changes or effect.may_come) and not effect.ends and ended_s is None]
+            if (effect.changes or effect.may_come) and not effect.ends and ended_s is None
+            and (effect.span.start_s or -math.inf) < since_s[1]]
     return sorted([*filter(None, begun), *over], key=lambda trial: -trial.net)
 
 

@@ -241,6 +241,15 @@ def test_a_push_that_holds_a_load_up_says_nothing_against_it():
     assert told_of_it > 12.0
 
 
+@pytest.mark.parametrize('begun', [70.0, 99.0, 99.98, 110.0])
+def test_an_effect_that_came_later_is_not_over_before_it_came(begun):
+    """A change that was named anew while a later one was known: "ends at 38.22 s and begins at 70 s"."""
+    body, samples, _ = loaded()
+    later = effect_from_text(f'payload@r_gripper {{"start_s": {begun}}}')
+    found = name_change(body, samples, [later], 100.0)
+    assert found.effect is None or found.effect.end_s is None or found.effect.end_s > (found.effect.start_s or 0.0)
+
+
 @pytest.mark.parametrize('seconds', [5.0, 20.0])
 def test_a_push_that_is_known_is_left_out_of_a_diagnosis(seconds):
     """Offsets of the sensor were told, or a force; and without the outputs of the push, that no inertias explain it."""
