@@ -26,8 +26,9 @@ from semiparam_ros.export.identified import CarriedBody, Identified
 from semiparam_ros.export.xml_edit import number
 
 WORLD = 'world'
-STEEPNESS, STEEPEST = 10.0, 1000.0
-"""Product of fp2 and the largest velocity, at the start of a curve's fit and at most."""
+SHALLOWEST, STEEPNESS, STEEPEST = 0.2, 10.0, 1000.0
+"""Product of fp2 and the largest velocity: at least, so that a straight line has a curve within a
+thousandth; at the start of the fit; at most."""
 SPEEDS = 200
 
 
@@ -150,8 +151,8 @@ def _curve(values: Mapping[str, float], top_speed: float) -> Array:
         return 0.5 * fp1 * np.tanh(0.5 * fp2 * velocity)
 
     start = 2.0 * friction[-1], STEEPNESS / top_speed
-    most = [np.inf, STEEPEST / top_speed]
-    found, _ = curve_fit(logistic, speed, friction, p0=start, bounds=(0.0, most))
+    bounds = [0.0, SHALLOWEST / top_speed], [np.inf, STEEPEST / top_speed]
+    found, _ = curve_fit(logistic, speed, friction, p0=start, bounds=bounds)
     return np.asarray(found)
 
 

@@ -118,7 +118,12 @@ class SampleTable:
             columns = self.columns[rows, channel] * root[:, None]
             information += columns.T @ columns
             right += columns.T @ (self.outputs[rows, channel] * root)
-        return cho_solve(cho_factor(information), right), np.asarray(information, dtype=np.float64)
+        try:
+            mean = cho_solve(cho_factor(information), right)
+        except np.linalg.LinAlgError as error:
+            raise SemiparamError('the samples fit no inertias: outputs and masses of the robot '
+                                 'description differ by many powers of ten; check their units.') from error
+        return mean, np.asarray(information, dtype=np.float64)
 
     def residual(self, theta: Array) -> Array:
         """Residual (N, n) of theta (p,)."""

@@ -20,6 +20,11 @@ LINKS_APART = 0.005
 MOST_LINKS = 6
 
 
+def as_matrix(jacobian: Array) -> Array:
+    """(6, n), also of a single joint, of which pinocchio gives a vector (6,)."""
+    return jacobian.reshape(6, -1)
+
+
 class FrameMotion(NamedTuple):
     """A link's frame over N samples, in the base."""
 
@@ -111,7 +116,7 @@ def unit_maps(body: RigidBody, position: Array, joints: Sequence[int], points: A
     if body.distal is not None:
         sensor = pin.updateFramePlacement(model, data, body.sensor_index)
         return _on_sensor(body, places, np.broadcast_to(sensor.rotation, (len(places), 3, 3)), sensor.translation)
-    found = {joint: pin.getJointJacobian(model, data, joint, pin.LOCAL_WORLD_ALIGNED)[:, body.output_rows]
+    found = {joint: as_matrix(pin.getJointJacobian(model, data, joint, pin.LOCAL_WORLD_ALIGNED))[:, body.output_rows]
              for joint in set(joints)}
     motions = np.array([found[joint] for joint in joints])
     arms = places - np.array([data.oMi[joint].translation for joint in joints])
@@ -143,7 +148,7 @@ def _one_by_one(body: RigidBody, samples: Samples, frame: int) -> tuple[Array, A
         pin.computeJointJacobians(model, data, q)
         placement = pin.updateFramePlacement(model, data, frame)
         rows.append((placement.rotation.copy(), placement.translation.copy(),
-                     pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED)))
+                     as_matrix(pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED))))
     rotation, position, jacobian = (np.array(column) for column in zip(*rows, strict=True))
     return rotation, position, jacobian[:, :3], jacobian[:, 3:]
 

@@ -28,8 +28,7 @@ from semiparam_ros.core.types import Array, Indices
 from semiparam_ros.errors import SemiparamError
 
 GRAVITY = np.array([0.0, 0.0, -9.81])
-SENSOR = 'semiparam_sensor'
-ROOT = 'semiparam_root'
+SENSOR, ROOT = urdf_tree.SENSOR, urdf_tree.ROOT
 JOINT = 'joint '
 
 OUTPUTS = ('wrench', 'effort')
