@@ -76,6 +76,9 @@ class TrajectoryReader:
             raise self._refusal(failure) from None
         _limit('points', self.n_points, MOST_POINTS)
         _limit('bytes', self._size, MOST_BYTES)
+        if not self.stamp < END_OF_TIME_NS:
+            raise SemiparamError(f'desired_trajectory has the stamp {self.stamp / NANOSECONDS:g} s; expected one below '
+                                 '2^31 s.')
 
     def points(self) -> Iterator[TrajectoryPoint]:
         """Every point; raises SemiparamError where the message breaks off."""
