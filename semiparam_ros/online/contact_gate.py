@@ -16,11 +16,11 @@ the standard deviation that the model gives them. For each output:
    not know is felt by one joint alone. What no force at any link brings about counts half.
 
 Blocks in which the gate is closed belong to neither, unless it closes again and again on what is
-not far beyond: then they belong to both. An arm that sets out is held by friction that the model does not know well. So at
-rest the scale is at least a fifth of that of motion, and for the first second of motion it is at
-least that of motion at a usual speed. The effort of a joint that turns round has a scale of its
-own, for the same reason; that of one which moves for the first time has none yet, and is not
-judged. Motors that are off behind brakes are not judged.
+not far beyond: then they belong to both. An arm that sets out is held by friction that the model
+does not know well. So at rest the scale is at least a fifth of that of motion, and for the first
+second of motion it is at least that of motion at a usual speed. The effort of a joint that turns
+round has a scale of its own, for the same reason; that of one which moves for the first time has
+none yet, and is not judged. Motors that are off behind brakes are not judged.
 """
 
 from __future__ import annotations
