@@ -27,8 +27,13 @@ CAPACITY = 20_000
 LARGEST = 1e9
 """Largest angle [rad], speed, acceleration, force [N] or torque [N m] believed: memory that was
 never written holds more, and one such value would leave nothing of a model."""
+FASTEST = 30.0
+"""[rad/s, m/s] No joint goes to and fro so fast: of several publishers, who says so tells of another robot."""
 END_OF_TIME_NS = 2**31 * NANOSECONDS
 """The seconds of a header have 32 bits. One with more nanoseconds than a second has can be beyond that."""
+WITHOUT_VELOCITIES = 4
+"""Joint states in a row without velocities, after some that held them, from which on they are estimated: one alone is
+another publisher's."""
 HELD_FROM_NS = 1_000_000_000
 """Time after its stamp from which a temperature counts. It comes too seldom to be waited for; by
 then it has come, however the topics interleave, and none changes so fast."""
@@ -116,9 +121,9 @@ class SampleStream:
 
     A message that cannot be used is refused: it is counted in ``faults`` by its reason, ``last_fault`` says in one
     sentence what was wrong, and everything else stays as if it had never come. Reasons: 'missing_joint',
-    'wrong_length', 'not_finite', 'out_of_range', 'duplicate_stamp', 'backward_stamp', 'wrong_frame'; 'unmatched' counts
-    wrenches without a joint state (or acceleration) near enough, 'overflow' messages given up because another topic
-    stays silent.
+    'wrong_length', 'not_finite', 'out_of_range', 'duplicate_stamp', 'backward_stamp', 'wrong_frame', 'elsewhere'
+    (positions that jump, where several publish them); 'unmatched' counts wrenches without a joint state (or
+    acceleration) near enough, 'overflow' messages given up because another topic stays silent.
     A message that names joints, but none of ours (a gripper's own), is ignored: ``ignored`` counts these, and
     ``last_ignored`` says what the last one named.
 
@@ -153,6 +158,15 @@ class SampleStream:
         self._frame = sensor_frame.lstrip('/')
         self._differentiator = None if measured_accelerations else differentiator
         self._velocity_filter = velocity_filter
+        self.velocities_measured = velocity_filter is None
+        """Whether the joint states hold velocities now."""
+        self.shared = False
+        """Whether several publish joint states."""
+        self._latest: tuple[int, Array] | None = None
+        """Stamp and row of the last joint state."""
+        self._without = 0
+        self._measured: tuple[int, Array] | None = None
+        """Stamp and row of the last joint state that held velocities."""
         self._capacity = capacity
         sources = self.joints if self._effort else tuple(temperatures)
         self._temperatures = {name: ZeroOrderHold() for name in sources if name in temperatures}
@@ -190,6 +204,7 @@ class SampleStream:
         self._accelerations.clear()
         self._waiting.clear()
         self._last.clear()
+        self._measured = self._latest = None
         for rates in (self._differentiator, self._velocity_filter, *self._temperatures.values()):
             if rates is not None:
                 rates.reset()
@@ -198,26 +213,35 @@ class SampleStream:
                     effort: Sequence[float] = ()) -> list[Sample]:
         """A sensor_msgs/JointState with header stamp [ns]; returns the samples that became complete.
 
-        Messages may leave their velocities empty, as long as none has held any: they are estimated from the positions.
+        Messages may leave their velocities empty: they are estimated from the positions. Where others held them before,
+        the first three in a row are refused.
         """
         order = self._order('joint state', stamp, names)
         columns = {'position': position, 'velocity': velocity, 'effort': effort}
         if not self._effort:
             del columns['effort']
-        if self._velocity_filter is not None and not len(velocity):
+        if order is not None and not len(velocity) and self._estimates_velocities():
             del columns['velocity']
         if order is None or not self._right_length(stamp, names, columns):
             return []
         values = [column[index] for name, column in columns.items() if name != 'effort' for index in order]
         if self._effort:
             values += [effort[order[index]] for index in self._outputs]
+        n = len(order)
+        if self.shared and self._is_elsewhere(stamp, values[:n]):
+            return []
         if not self._acceptable('joint state', stamp, values):
             return []
-        n = len(order)
         row = np.array(values, dtype=float)
+        self._latest = stamp, row
         if 'velocity' in columns:
-            self._velocity_filter = None  # whoever measures velocities has broken off where one message lacks them
-        elif self._velocity_filter is not None:
+            self.velocities_measured, self._without, self._measured = True, 0, (stamp, row)
+        else:
+            assert self._velocity_filter is not None
+            if self._measured is not None:
+                before, known = self._measured
+                self._velocity_filter.begin(before, known[:n], known[n:2 * n])
+            self.velocities_measured, self._measured = False, None
             row = np.concatenate((row[:n], self._velocity_filter.update(stamp, row[:n]), row[n:]))
         state = row[:2 * n]
         if self._differentiator is not None:
@@ -226,6 +250,27 @@ class SampleStream:
             return self._await(stamp, row[2 * n:], state)
         self._append(self._states, stamp, state, 'joint states')
         return self._completed()
+
+    def _is_elsewhere(self, stamp: int, position: Sequence[float]) -> bool:
+        """Refuse positions that the joints cannot have reached since the last joint state; a whole turn is no way."""
+        if self._latest is None or stamp <= self._latest[0]:
+            return False
+        seconds = (stamp - self._latest[0]) * 1e-9
+        away = np.abs(np.array(position) - self._latest[1][:len(position)])
+        far = np.flatnonzero(np.minimum(away, np.abs(away - 2.0 * np.pi)) > FASTEST * seconds)
+        if not len(far) or not away.max() < LARGEST:
+            return False
+        joint = far[0]
+        self._refuse('elsewhere', f'joint state at {in_seconds(stamp)} s has {self.joints[joint]!r} '
+                                  f'{away[joint]:.3g} rad or m from where it was {seconds:.3g} s before: several '
+                                  'publish joint states, and this one is of another robot.')
+        return True
+
+    def _estimates_velocities(self) -> bool:
+        """Tell whether a joint state without velocities is one to estimate them of."""
+        self._without += 1
+        return self._velocity_filter is not None and (not self.velocities_measured
+                                                      or self._without >= WITHOUT_VELOCITIES)
 
     def wrench(self, stamp: int, frame_id: str, values: Sequence[float]) -> list[Sample]:
         """A geometry_msgs/WrenchStamped: force [N] and torque [N m], (6,); returns the samples now complete."""
@@ -286,6 +331,9 @@ class SampleStream:
         for column, values in columns.items():
             if len(values) != len(names):
                 remedy = '; a wrench is predicted where sensor_frame is given' if column == 'effort' else ''
+                if column == 'velocity' and not len(values) and self._velocity_filter is not None:
+                    remedy = (f', but messages before it held velocities; from the {WITHOUT_VELOCITIES}th in a row on '
+                              'they are estimated from the positions')
                 self._refuse('wrong_length', f'{column} at {in_seconds(stamp)} s has {len(values)} values for '
                                              f'{len(names)} joints{remedy}.')
                 return False

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -65,7 +66,7 @@ def run(args: argparse.Namespace) -> int:
     from semiparam_ros.export.urdf import described_links
     from semiparam_ros.settings import load_params
 
-    paths = {form: getattr(args, form.replace('-', '_')) for form in FORMS}
+    paths = {form: _path(args, form) for form in FORMS}
     options.require_places(args.json, *paths.values())
     settings = load_params(args.params)
     texts = [f'payload@{link}' for link in args.load]
@@ -87,6 +88,11 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
+def _path(args: argparse.Namespace, form: str) -> Path | None:
+    path: Path | None = getattr(args, form.replace('-', '_'))
+    return path
+
+
 def _estimate(args: argparse.Namespace, settings: Settings) -> tuple[Estimate, str]:
     """Estimate that the source gives, and the robot description."""
     from semiparam_ros.settings.robot_description import robot_description
@@ -103,7 +109,7 @@ def _estimate(args: argparse.Namespace, settings: Settings) -> tuple[Estimate, s
         return _of_state(args, settings), robot_description(settings)
     if args.kept_samples:
         raise SemiparamError(f'{source} is a recording; --kept-samples expects a saved state (.npz).')
-    return _of_recording(source, settings, args.keep_inertias)
+    return _of_recording(args, settings)
 
 
 def _of_state(args: argparse.Namespace, settings: Settings) -> Estimate:
@@ -117,7 +123,7 @@ def _of_state(args: argparse.Namespace, settings: Settings) -> Estimate:
     changes = AppliedEffects(body)
     changes.restore(saved.applied)
     samples = saved.batch.samples
-    _require_right_setup(args.source, body, samples)
+    _require_right_setup(args, body, samples)
     if args.kept_samples and samples is not None:
         texts = *saved.settings.effects, *(f'payload@{link}' for link in args.load)
         effects = declared_effects(replace(saved.settings, effects=texts))
@@ -128,28 +134,32 @@ def _of_state(args: argparse.Namespace, settings: Settings) -> Estimate:
     return with_known(estimate, changes.applied)
 
 
-def _of_recording(source: Path, settings: Settings, keep_inertias: bool) -> tuple[Estimate, str]:
+def _of_recording(args: argparse.Namespace, settings: Settings) -> tuple[Estimate, str]:
     from semiparam_ros.cli.evaluate import load_bags
     from semiparam_ros.export.estimate import from_recording
     from semiparam_ros.settings.build import build_rigid_body, declared_effects
     from semiparam_ros.settings.robot_description import robot_description
 
-    bag = load_bags([source], settings, lambda rate: MOST_SAMPLES)[0]
+    bag = load_bags([args.source], settings, lambda rate: MOST_SAMPLES)[0]
     body = build_rigid_body(settings, bag.robot_description)
-    _require_right_setup(source, body, bag.samples)
+    _require_right_setup(args, body, bag.samples)
     estimate = from_recording(body, declared_effects(settings), bag.samples,
-                              settings.joint_friction, keep_inertias, str(source))
+                              settings.joint_friction, args.keep_inertias, str(args.source))
     return estimate, robot_description(settings, bag.robot_description)
 
 
-def _require_right_setup(source: Path, body: RigidBody, samples: Samples | None) -> None:
-    """Refuse samples of which a diagnosis would say that a sign, a unit, an order or a clock is
-    wrong: bodies that explain them are no robot's."""
+def _require_right_setup(args: argparse.Namespace, body: RigidBody,
+                         samples: Samples | None) -> None:
+    """Refuse files that this robot cannot fill, and samples of which a diagnosis would say that a
+    sign, a unit, an order or a clock is wrong: bodies that explain them are no robot's."""
     from semiparam_ros.diagnosis.setup.checks import NO_MATCH, setup_problems
+    from semiparam_ros.export.controllers import require_possible
 
+    for form in filter(partial(_path, args), FORMS):
+        require_possible(form, body)
     for problem in setup_problems(body, samples) if samples else ():
         if problem.what != NO_MATCH:
-            raise SemiparamError(f'{source}: {problem.sentence}')
+            raise SemiparamError(f'{args.source}: {problem.sentence}')
 
 
 def _text(form: str, body: RigidBody, urdf: str, found: Identified, flange: str | None) -> str:

@@ -248,6 +248,16 @@ class Estimator:
         called yet."""
         return not self.ready and self.window.full
 
+    @property
+    def model_comes(self) -> str:
+        """When there is a model to rely on, after the word until; '' once it is there."""
+        if self.ready:
+            return ''
+        if self.window.full:
+            return f'the hyperparameters of {self.options.variant} are estimated from the initial window'
+        return (f'the initial window is over, which has {len(self.window)} of {self.window.wanted} '
+                'samples of motion')
+
     def new_window(self) -> InitialWindow:
         """An empty one, as at the start."""
         return InitialWindow(self.options.initial_samples, 3 * self.body.n_joints, self.body.n_outputs,

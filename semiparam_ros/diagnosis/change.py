@@ -22,7 +22,7 @@ from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array, Mask
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
-from semiparam_ros.diagnosis.data.outliers import excluded
+from semiparam_ros.diagnosis.data.outliers import untouched
 from semiparam_ros.diagnosis.data.splits import block_sums
 from semiparam_ros.diagnosis.evaluation import EvaluationFigures, evaluate_here
 from semiparam_ros.diagnosis.findings import Quantity
@@ -107,7 +107,7 @@ def name_change(body: RigidBody, samples: Samples, effects: Sequence[Effect], si
     Raises SemiparamError when too few samples are left to work with.
     """
     touched_s = since_s if touched_s is None else min(touched_s, since_s)
-    clean = _untouched(samples, contacts, config)
+    clean = untouched(samples, contacts, config)
     fit, inputs, changed = _first_fit(body, samples, effects, touched_s, inputs, config, clean)
     tried = _ranked(fit, fit.effects[: len(effects)], (touched_s, since_s), ended_s)
     best = _likeliest(tried)
@@ -136,7 +136,8 @@ def _ranked(fit: Fit, known: Sequence[Effect], since_s: tuple[float, float],
     first."""
     begun = (_tried(fit, effect, since_s, ended_s) for effect in _candidates(fit))
     over = [_over(fit, effect, since_s) for effect in known
-            if (effect.changes or effect.may_come) and not effect.ends and ended_s is None]
+            if (effect.changes or effect.may_come) and not effect.ends and ended_s is None
+            and (effect.span.start_s or -math.inf) < since_s[1]]
     return sorted([*filter(None, begun), *over], key=lambda trial: -trial.net)
 
 
@@ -173,7 +174,7 @@ def gain_since(body: RigidBody, samples: Samples, since_s: float, before: Sequen
     models = [[effect.in_recording(samples.origin) for effect in effects]
               for effects in (before, after)]
     old = samples.time < since_s
-    clean = _untouched(samples, contacts, config)
+    clean = untouched(samples, contacts, config)
     inputs, chosen, used, counted = prepared(body, samples, models[0], old, config, clean=clean)
     fitting, judging = used & inputs.mask(old), used & inputs.mask(~old)
     require_enough(config, fitting, judging)
@@ -201,15 +202,6 @@ def _first_fit(body: RigidBody, samples: Samples, effects: Sequence[Effect], sin
     changed = np.asarray(chosen.time >= since_s)
     require_enough(config, used & ~changed, used)
     return starting_fit(body, chosen, effects, used, config, counted), inputs, changed
-
-
-def _untouched(samples: Samples, contacts: Sequence[tuple[float, float]],
-               config: DiagnosisConfig) -> Mask:
-    """(N,) the samples that may be used: no outliers, and none of contacts [s]."""
-    clean = ~excluded(samples, config)
-    for first, last in contacts:
-        clean &= (samples.time < first) | (samples.time > last)
-    return clean
 
 
 def _friction(body: RigidBody) -> list[Effect]:

@@ -12,7 +12,7 @@ from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array, Mask
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
-from semiparam_ros.diagnosis.data.outliers import excluded, gaps, margin, working_factor
+from semiparam_ros.diagnosis.data.outliers import excluded, gaps, margin, untouched, working_factor
 from semiparam_ros.diagnosis.data.recordings import alone, beside_breaks, own_offsets, present, whole_groups
 from semiparam_ros.diagnosis.data.splits import block_sums, interleaved_split, ranges
 from semiparam_ros.diagnosis.evaluation import Evaluation, evaluate_here, evaluate_there
@@ -167,7 +167,7 @@ class Diagnosis:
 def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), train_mask: Mask | None = None,
              other: tuple[str, Samples] | None = None, only: Sequence[str] = (),
              progress: Progress = lambda words, share: None, config: DiagnosisConfig = DEFAULTS,
-             names: Sequence[str] = ()) -> Diagnosis:
+             names: Sequence[str] = (), touched: Sequence[tuple[float, float]] = ()) -> Diagnosis:
     """Find what the model lacks in one recording, or in several that :meth:`Samples.joined` made one.
 
     :param effects: those declared already.
@@ -177,6 +177,8 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
     :param names: those of the recordings; numbers from 1 unless given.
     :param progress: called with a few words and the share of the round that is done.
     :param config: thresholds other than the usual ones.
+    :param touched: [s] between which the robot is known to have been touched, which is left out;
+        of a single recording.
 
     Raises SemiparamError when the recording is too short, too little of it can be used, or nothing moves in it; where
     its clock is wrong, that may be why, and the error says so.
@@ -186,9 +188,10 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
     names = tuple(names) or tuple(str(number) for number in range(1, len(samples.recordings) + 1))
     effects = [effect.in_recording(samples.origin) for effect in effects] + own_offsets(body, samples)
     suspected = [problem for part in samples.recordings
-                 for problem in setup_problems(body, alone(samples, part) if samples.breaks else samples, config)]
+                 for problem in (setup_problems(body, alone(samples, part), config) if samples.breaks
+                                 else setup_problems(body, samples, config, touched))]
     try:
-        start = _first_model(body, samples, effects, train_mask, other, config)
+        start = _first_model(body, samples, effects, train_mask, other, config, touched)
     except SemiparamError as error:
         clock = [problem.sentence for problem in suspected if problem.what == 'clock']  # leaves no time to look at
         raise SemiparamError(clock[0] if clock else str(error)) from error
@@ -225,12 +228,12 @@ class _Start(NamedTuple):
 
 def _first_model(body: RigidBody, samples: Samples, effects: Sequence[Effect],
                  train_mask: Mask | None, other: tuple[str, Samples] | None,
-                 config: DiagnosisConfig) -> _Start:
+                 config: DiagnosisConfig, touched: Sequence[tuple[float, float]]) -> _Start:
     require_enough(config, np.ones(len(samples) // working_factor(samples, config), dtype=bool))
     may_fit, count = train_mask, len(samples)
     if may_fit is None:
         may_fit = np.ones(count, dtype=bool) if other else interleaved_split(count, config)
-    clean = ~excluded(samples, config) & ~beside_breaks(samples, margin(samples, config))
+    clean = untouched(samples, touched, config) & ~beside_breaks(samples, margin(samples, config))
     inputs, chosen, valid, counted = prepared(body, samples, effects, may_fit, config, clean=clean)
     fitting, held_out = valid & inputs.mask(may_fit), valid & ~inputs.mask(may_fit)
     require_enough(config, fitting, held_out if other is None else fitting)

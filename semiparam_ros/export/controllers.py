@@ -26,9 +26,25 @@ from semiparam_ros.export.identified import CarriedBody, Identified
 from semiparam_ros.export.xml_edit import number
 
 WORLD = 'world'
-STEEPNESS, STEEPEST = 10.0, 1000.0
-"""Product of fp2 and the largest velocity, at the start of a curve's fit and at most."""
+SHALLOWEST, STEEPNESS, STEEPEST = 0.2, 10.0, 1000.0
+"""Product of fp2 and the largest velocity: at least, so that a straight line has a curve within a
+thousandth; at the start of the fit; at most."""
 SPEEDS = 200
+
+
+def require_possible(form: str, body: RigidBody) -> None:
+    """Refuse a form that no estimate of this robot can fill, before anything is estimated."""
+    if form == 'crisp-friction' and body.outputs == 'wrench':
+        raise _no_friction()
+    if form != 'gravity-filter':
+        return
+    if body.distal is None:
+        raise SemiparamError('a gravity compensation filter takes the weight off a wrench; '
+                             'expected outputs: wrench.')
+    if len(body.bodies) > 1:
+        raise SemiparamError(f'{len(body.bodies)} bodies hang on the sensor and move against each '
+                             f'other ({", ".join(body.bodies)}); the filter takes the weight '
+                             'of one.')
 
 
 def load_at(body: RigidBody, found: Identified, flange: str | None) -> CarriedBody:
@@ -81,13 +97,7 @@ def gravity_filter(body: RigidBody, found: Identified, remark: str) -> str:
 
     Raises SemiparamError unless a wrench is measured, and what hangs on the sensor is one body.
     """
-    if body.distal is None:
-        raise SemiparamError('a gravity compensation filter takes the weight off a wrench; '
-                             'expected outputs: wrench.')
-    if len(body.bodies) > 1:
-        raise SemiparamError(f'{len(body.bodies)} bodies hang on the sensor and move against each '
-                             f'other ({", ".join(body.bodies)}); the filter takes the weight '
-                             'of one.')
+    require_possible('gravity-filter', body)
     links = [CarriedBody(name, values, 0.0) for name, values in found.links.items()
              if name in observed_links(body)]
     frame = _sensor_link(body)
@@ -118,13 +128,16 @@ def crisp_friction(found: Identified, remark: str) -> str:
     for each in found.joints:
         rows.setdefault(each.joint, {})[each.name] = each.value
     if not rows:
-        raise SemiparamError('no friction is known; expected outputs: effort with joint_friction: '
-                             'true.')
+        raise _no_friction()
     curves = [_curve(values, found.top_speed[joint]) for joint, values in rows.items()]
     fp1, fp2 = ([float(number(curve[index])) for curve in curves] for index in (0, 1))
     document = {'friction': {'fp1': fp1, 'fp2': fp2, 'fp3': [0.0] * len(curves)}}
     return f'# {remark}\n# Joints: {", ".join(rows)}\n' + yaml.safe_dump(document, sort_keys=False,
                                                                          default_flow_style=None)
+
+
+def _no_friction() -> SemiparamError:
+    return SemiparamError('no friction is known; expected outputs: effort with joint_friction: true.')
 
 
 def _curve(values: Mapping[str, float], top_speed: float) -> Array:
@@ -138,8 +151,8 @@ def _curve(values: Mapping[str, float], top_speed: float) -> Array:
         return 0.5 * fp1 * np.tanh(0.5 * fp2 * velocity)
 
     start = 2.0 * friction[-1], STEEPNESS / top_speed
-    most = [np.inf, STEEPEST / top_speed]
-    found, _ = curve_fit(logistic, speed, friction, p0=start, bounds=(0.0, most))
+    bounds = [0.0, SHALLOWEST / top_speed], [np.inf, STEEPEST / top_speed]
+    found, _ = curve_fit(logistic, speed, friction, p0=start, bounds=bounds)
     return np.asarray(found)
 
 

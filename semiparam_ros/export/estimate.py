@@ -118,7 +118,12 @@ class SampleTable:
             columns = self.columns[rows, channel] * root[:, None]
             information += columns.T @ columns
             right += columns.T @ (self.outputs[rows, channel] * root)
-        return cho_solve(cho_factor(information), right), np.asarray(information, dtype=np.float64)
+        try:
+            mean = cho_solve(cho_factor(information), right)
+        except np.linalg.LinAlgError as error:
+            raise SemiparamError('the samples fit no inertias: outputs and masses of the robot '
+                                 'description differ by many powers of ten; check their units.') from error
+        return mean, np.asarray(information, dtype=np.float64)
 
     def residual(self, theta: Array) -> Array:
         """Residual (N, n) of theta (p,)."""
@@ -200,8 +205,8 @@ def from_estimator(estimator: Estimator, samples: Samples | None, name: str) -> 
     Raises SemiparamError when it has learnt no rigid body.
     """
     if not estimator.ready:
-        raise SemiparamError(f'{name} holds no model yet; expected one whose initial window is '
-                             'over.')
+        raise SemiparamError(f'{name} holds no model yet: there is none until '
+                             f'{estimator.model_comes}.')
     model = estimator.rigid_body_model
     if model.variant.pi != 'learnt':
         raise SemiparamError(f'{name} learns no inertial parameters: its variant is '

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from xml.sax.saxutils import quoteattr
 
 import numpy as np
 import pinocchio as pin
@@ -109,9 +110,10 @@ def _load_elements(load: CarriedBody, taken: set[str]) -> list[str]:
         name += '_'
     taken |= {name, f'{name}_joint'}
     inertial = ''.join(_tag(tag, values) for tag, values in inertial_values(load).items())
-    return [f'<link name="{name}"><inertial>{inertial}</inertial></link>',
-            f'<joint name="{name}_joint" type="fixed"><parent link="{load.link}"/>'
-            f'<child link="{name}"/><origin xyz="0 0 0" rpy="0 0 0"/></joint>']
+    own, joint, carrier = (quoteattr(text) for text in (name, f'{name}_joint', load.link))
+    return [f'<link name={own}><inertial>{inertial}</inertial></link>',
+            f'<joint name={joint} type="fixed"><parent link={carrier}/>'
+            f'<child link={own}/><origin xyz="0 0 0" rpy="0 0 0"/></joint>']
 
 
 def _tag(tag: str, attributes: Mapping[str, str]) -> str:

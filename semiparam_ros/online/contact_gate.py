@@ -15,12 +15,12 @@ the standard deviation that the model gives them. For each output:
 3. *Plausibility.* A push is a force at a link: three numbers decide what all outputs feel. Friction that the model does
    not know is felt by one joint alone. What no force at any link brings about counts half.
 
-Blocks in which the gate is closed belong to neither, unless it closes again and again: then they
-belong to both. An arm that sets out is held by friction that the model does not know well. So at
-rest the scale is at least a fifth of that of motion, and for the first second of motion it is at
-least that of motion at a usual speed. The effort of a joint that turns round has a scale of its
-own, for the same reason; that of one which moves for the first time has none yet, and is not
-judged. Motors that are off behind brakes are not judged.
+Blocks in which the gate is closed belong to neither, unless it closes again and again on what is
+not far beyond: then they belong to both. An arm that sets out is held by friction that the model
+does not know well. So at rest the scale is at least a fifth of that of motion, and for the first
+second of motion it is at least that of motion at a usual speed. The effort of a joint that turns
+round has a scale of its own, for the same reason; that of one which moves for the first time has
+none yet, and is not judged. Motors that are off behind brakes are not judged.
 """
 
 from __future__ import annotations
@@ -87,8 +87,9 @@ TAIL_SHARE = 0.1
 PRIOR_LEVEL, PRIOR_EXCESS = 1.6, 0.25
 """Of the 90th percentile of the ratios and the mean excess over it; those of coloured Gaussian
 noise, and of the free motion of three measured arms, are near."""
-AGAIN, AGAIN_S = 3, 10.0
-"""So many closures within so many seconds are the robot's own."""
+AGAIN, AGAIN_S, OWN = 3, 10.0, 4.0
+"""So many closures within so many seconds are the robot's own, where none of their outputs is
+beyond so many times its threshold: who taps a robot is felt far beyond."""
 PRIOR_BLOCKS, PRIOR_EXCESSES = 20.0, 8.0
 MOST_EXCESSES = 8.0
 """However many blocks are known, the tail counts as known by so many: real tails are heavier than
@@ -373,7 +374,8 @@ class ContactGate:
         self.level = self._plausible(prediction, seen, thresholds) / thresholds
         if self.closed:
             calm = bool((seen.ratio <= np.maximum(0.5 * thresholds, usual_large)).all())
-            self._perhaps_open(stamp, calm, settings)
+            own = bool((self._closed_ratio <= OWN * thresholds).all())
+            self._perhaps_open(stamp, calm, own, settings)
         elif self.level.max() > 1.0:
             self._close(stamp, at)
         if self.closed:
@@ -561,10 +563,10 @@ class ContactGate:
         if self._resting:
             self._mean = self._mean + max(1.0 / self._resting, seconds / REST_MEMORY_S) * (innovation - self._mean)
 
-    def _perhaps_open(self, stamp: int, calm: bool, settings: Table) -> None:
+    def _perhaps_open(self, stamp: int, calm: bool, own: bool, settings: Table) -> None:
         self._calm_since = (stamp if self._calm_since is None else self._calm_since) if calm else None
         if self._calm_since is not None and stamp - self._calm_since >= settings.gate_hold * NANOSECONDS:
-            if len(self._closures) == AGAIN and stamp - self._closures[0] <= AGAIN_S * NANOSECONDS:
+            if own and len(self._closures) == AGAIN and stamp - self._closures[0] <= AGAIN_S * NANOSECONDS:
                 self._learn_closure()
             self._open()
         elif settings.gate_timeout and stamp - self._closed_since > settings.gate_timeout * NANOSECONDS:

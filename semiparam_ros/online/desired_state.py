@@ -23,6 +23,7 @@ from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.finite import require_finite
 from semiparam_ros.core.model import PROVISIONAL_GAMMA
 from semiparam_ros.core.prediction import DesiredOutputs
+from semiparam_ros.core.robot.frames import as_matrix
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.types import Array
 
@@ -119,7 +120,7 @@ def joint_torques(body: RigidBody, position: Array, velocity: Array, acceleratio
     data = body.arm.createData()
     q, dq, ddq = (body.arm_vector(values) for values in (position, velocity, acceleration))
     described = np.array(pin.rnea(body.arm, data, q, dq, ddq))
-    jacobian = body.sign * pin.computeFrameJacobian(body.arm, data, q, body.sensor_index, pin.LOCAL)
+    jacobian = body.sign * as_matrix(pin.computeFrameJacobian(body.arm, data, q, body.sensor_index, pin.LOCAL))
     expected = body.full_regressor(position, velocity, acceleration) @ body.inertial_parameters
     torques = described + jacobian.T @ (wrench - expected)
     return np.asarray(torques[body.arm_columns]), np.asarray(jacobian[:, body.arm_columns])

@@ -71,10 +71,12 @@ class DiagnosisOutcome(NamedTuple):
 
 
 def diagnose(body: RigidBody, batch: SampleBatch, effects: Sequence[Effect],
-             taken_off: Sequence[Contribution] = ()) -> DiagnosisOutcome:
+             taken_off: Sequence[Contribution] = (),
+             contacts: Sequence[tuple[int, int]] = ()) -> DiagnosisOutcome:
     """Diagnose samples with the effects declared so far; raises SemiparamError as the command does.
 
-    :param taken_off: what was taken off the samples before they were kept.
+    :param taken_off: what was taken off the samples before they were kept. :param contacts: stamps
+        [ns] between which the robot was touched.
     """
     from semiparam_ros.diagnosis.diagnose import diagnose
     from semiparam_ros.diagnosis.text_report import summary, text_report
@@ -87,7 +89,8 @@ def diagnose(body: RigidBody, batch: SampleBatch, effects: Sequence[Effect],
         report_progress(Progress(f'{words} ({share:.0%})', left_s(len(batch), time.perf_counter() - begun,
                                                        time.process_time() - used)))
 
-    found = diagnose(body, samples, effects, progress=progress)
+    found = diagnose(body, samples, effects, progress=progress,
+                     touched=_seconds(contacts, samples.origin))
     return DiagnosisOutcome(found.verdict, summary(found), text_report(found), found.as_dict(), declared(found))
 
 

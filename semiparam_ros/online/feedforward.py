@@ -47,7 +47,7 @@ class Feedforward:
         row, ready = (position, velocity, acceleration), learner.estimator.ready
         if not ready and learner.settings.feedforward_before_ready == 'withhold':
             self.counts['withheld'] += 1
-            self.withheld = ('feedforward is withheld until the initial window is over; with '
+            self.withheld = (f'feedforward is withheld until {learner.estimator.model_comes}; with '
                              'feedforward.before_ready description the robot description answers meanwhile.')
             raise WithheldError(self.withheld)
         self.withheld = ''

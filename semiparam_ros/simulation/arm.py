@@ -88,7 +88,8 @@ def _axis(model: pin.Model, index: int) -> tuple[Array, Array]:
     """Motion subspace of a one-degree joint in its own frame: linear and angular part, each (3,)."""
     data = model.createData()
     pin.computeJointJacobians(model, data, pin.neutral(model))
-    column = pin.getJointJacobian(model, data, index, pin.ReferenceFrame.LOCAL)[:, model.joints[index].idx_v]
+    jacobian = pin.getJointJacobian(model, data, index, pin.ReferenceFrame.LOCAL)
+    column = jacobian.reshape(6, model.nv)[:, model.joints[index].idx_v]  # of one joint it is a vector
     return column[:3], column[3:]
 
 

@@ -136,10 +136,38 @@ def test_a_refused_message_leaves_the_velocity_filter_as_it_was():
 def test_a_message_without_velocities_among_others_with_them_is_refused():
     samples = stream(velocity_filter=CausalDifferentiator(2, 5.0))
     feed(samples, moving(0, 'wrench'), moving(5 * MS, 'wrench', velocity=False))
-    assert samples.last_fault == 'velocity at 0.005000000 s has 0 values for 2 joints.'
+    assert samples.last_fault == (
+        'velocity at 0.005000000 s has 0 values for 2 joints, but messages before it held velocities; from the 4th in '
+        'a row on they are estimated from the positions.')
     samples.reset()
     feed(samples, moving(0, 'wrench', velocity=False))
     assert samples.faults == {'wrong_length': 2}
+
+
+@pytest.mark.parametrize('outputs', ['wrench', 'effort'])
+def test_a_driver_that_leaves_velocities_empty_from_some_time_on_is_followed_and_one_that_returns(outputs):
+    """It was refused until the node was started again."""
+    samples, done, other = stream(outputs=outputs, velocity_filter=CausalDifferentiator(2, 5.0)), [], ['gripper']
+    for step in range(300):
+        stamp = 5 * MS * step
+        feed(samples, ('joint_state', stamp + 1, other, [0.0], [], []))
+        done += feed(samples, moving(stamp, outputs, velocity=not 100 <= step < 200),
+                     *([wrench(stamp)] if outputs == 'wrench' else []))
+    assert samples.faults['wrong_length'] == 3 and samples.velocities_measured
+    assert samples.faults['unmatched'] == 0 and len(done) == (300 if outputs == 'wrench' else 297)
+    for sample in done[5:]:
+        np.testing.assert_allclose(sample.velocity, [np.cos(sample.stamp * 1e-9), 1.0], atol=5e-3)
+        np.testing.assert_allclose(sample.acceleration, [-np.sin(sample.stamp * 1e-9), 0.0], atol=0.2)
+
+
+def test_another_publisher_without_velocities_is_refused_for_good():
+    samples = stream(outputs='effort', velocity_filter=CausalDifferentiator(2, 5.0))
+    spared = stream(outputs='effort', velocity_filter=CausalDifferentiator(2, 5.0))
+    for step in range(100):
+        good = moving(5 * MS * step, 'effort')
+        assert same(feed(samples, good), feed(spared, good))
+        feed(samples, ('joint_state', 5 * MS * step + 1, JOINTS, (0.0, 0.0), (), (0.0, 0.0)))
+    assert samples.faults == {'wrong_length': 100}
 
 
 def test_some_velocities_are_not_taken_for_none():
@@ -304,3 +332,24 @@ def test_a_sentence_stays_readable_whatever_a_stranger_sent():
     assert len(samples.last_fault) < 700 and '9993 more' in samples.last_fault and samples.last_fault.endswith('.')
     feed(samples, wrench(2 * MS, 7.0, frame='elsewhere' * 10_000))
     assert len(samples.last_fault) < 700 and samples.last_fault.endswith("expected 'sensor'.")
+
+
+def test_of_several_publishers_one_that_tells_of_another_place_is_refused():
+    """Seconds of a stranger's zeros were learnt, and spoilt what changes were named for a minute."""
+    samples, spared = (stream(outputs='effort') for _ in range(2))
+    samples.shared = True
+    for step in range(100, 200):
+        good = moving(10 * MS * step, 'effort')
+        assert same(feed(samples, good), feed(spared, good))
+        for position in ((0.0, 0.0), (good[3][0] + 2 * math.pi, 0.0)):
+            assert not feed(samples, ('joint_state', good[1] + 5 * MS, JOINTS, position, (0.0, 0.0), (0.0, 0.0)))
+    assert samples.faults == {'elsewhere': 200}
+    assert samples.last_fault == (
+        "joint state at 1.995000000 s has 'knee' 1.99 rad or m from where it was 0.005 s before: several publish joint "
+        'states, and this one is of another robot.')
+    turned = good[3][0] - 2 * math.pi, good[3][1] + 0.01
+    assert feed(samples, ('joint_state', good[1] + 10 * MS, JOINTS, turned, (0.0, 0.0), (0.0, 0.0)))
+    feed(samples, ('joint_state', good[1] + 15 * MS, JOINTS, (0.0, math.inf), (0.0, 0.0), (0.0, 0.0)))
+    feed(samples, ('joint_state', good[1] + 15 * MS, JOINTS, (0.0, 1e160), (0.0, 0.0), (0.0, 0.0)))
+    assert samples.faults == {'elsewhere': 200, 'not_finite': 1, 'out_of_range': 1}
+    assert len(feed(samples, ('joint_state', good[1] + 200 * MS, JOINTS, (0.0, 0.0), (0.0, 0.0), (0.0, 0.0)))) == 1

@@ -123,6 +123,17 @@ def test_a_mistake_is_one_sentence_and_no_file(folder, tmp_path, monkeypatch, ca
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize('option, sentence', [
+    ('--gravity-filter', 'bodies hang on the sensor and move against each other'),
+    ('--crisp-friction', 'no friction is known; expected outputs: effort')])
+def test_a_form_that_the_robot_cannot_fill_is_refused_before_the_fit(folder, tmp_path, monkeypatch, capsys, option,
+                                                                     sentence):
+    monkeypatch.setattr('semiparam_ros.export.estimate.from_recording', lambda *args: pytest.fail('it was fitted'))
+    assert sentence in refusal(capsys, 'export', folder / 'arm.mcap', '--params', folder / 'p.yaml', option,
+                               tmp_path / 'x')
+    assert not (tmp_path / 'x').exists()
+
+
 def test_what_a_wrong_sign_explains_is_no_robot(folder, tmp_path, monkeypatch, capsys):
     """Bodies were written that no inertia explains, of a recording that a diagnosis refuses."""
     monkeypatch.chdir(tmp_path)
@@ -188,7 +199,7 @@ def test_changes_that_are_applied_beside_the_model_are_exported_with_it(folder, 
 
 def test_a_state_without_a_rigid_body_tells_nothing(folder, tmp_path, capsys):
     settings, stage = staged(tmp_path / 'p.yaml', 'NP-ML')
-    for count, sentence in ((0, 'holds no model yet; expected one whose initial window is over'),
+    for count, sentence in ((0, 'there is none until the initial window is over, which has 0 of 200 samples'),
                             (300, 'its variant is NP-ML; expected P, SPK-ML or auto')):
         stage.offer(load_samples(folder / 'arm.mcap', settings).samples[:count])
         state_file.save(tmp_path / 's.npz', stage.learner.state())

@@ -189,3 +189,9 @@ def test_an_estimate_of_a_sensor_without_noise_is_a_body(reference, truth, seed)
 def test_an_estimate_that_is_not_finite_is_refused():
     with pytest.raises(SemiparamError, match='not finite; expected a model that has learnt'):
         consistent_bodies(np.full(10, np.nan), np.eye(10), [Body(ball(1.0, 0.1), np.eye(10))])
+
+
+def test_a_body_lost_in_the_digits_of_its_distance_is_refused():
+    body = made_consistent(np.array([1.0, 1e9, 0.0, 0.0, 0.0, 0.0, 1e18, 0.0, 0.0, 1e18]), 1.0)
+    with pytest.raises(SemiparamError, match=r"far from its link .* check the units of the inertials' origins"):
+        consistent_bodies(np.zeros(10), np.eye(10), [Body(body, np.eye(10))])

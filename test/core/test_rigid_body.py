@@ -2,6 +2,7 @@
 
 import re
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,10 +10,19 @@ import pytest
 from semiparam_ros.core.robot import rigid_body
 from semiparam_ros.core.robot import urdf as urdf_tree
 from semiparam_ros.core.robot.arm_motion import FEW
-from semiparam_ros.core.robot.frames import force_maps, frame_motion, loaded_links, observed_links
+from semiparam_ros.core.robot.external_wrench import ExternalWrench
+from semiparam_ros.core.robot.frames import (
+    force_maps,
+    frame_motion,
+    loaded_links,
+    nearest_link,
+    observed_links,
+    unit_maps,
+)
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.errors import SemiparamError
+from semiparam_ros.online.desired_state import joint_torques
 from support.arms import (
     ICUB_JOINTS,
     ICUB_SENSOR,
@@ -323,6 +333,8 @@ def read(urdf=ODD_ARM, joints=ODD_JOINTS, outputs='wrench', frame='mid_link_ft',
     ({'urdf': ODD_ARM.replace('</robot>', '<a>' * 2000 + '</a>' * 2000 + '</robot>')},
      'elements lie more than 100 deep within each other'),
     ({'urdf': ODD_ARM.replace('"forearm"', '"universe"')}, "a link is called 'universe', a name that is taken"),
+    ({'urdf': ODD_ARM.replace('"elbow"', '"semiparam_sensor"')}, "a joint is called 'semiparam_sensor'"),
+    ({'urdf': ODD_ARM.replace('xyz="0 0 0.2"', 'xyz="0 0 2e4"')}, 'origin xyz="0 0 2e4"; expected numbers up to 10000'),
     ({'urdf': ODD_ARM.replace('"elbow"', '"universe"')}, "a joint is called 'universe', a name that is taken"),
     ({'urdf': '<robot name="x"/>'}, 'holds 0 links'),
     ({'urdf': ODD_ARM.replace('<parent link="turret"/>', '<parent link="tower"/>')},
@@ -411,3 +423,49 @@ def test_units_along_a_joint_that_slides():
         'm', 'm/s', 'N', 'N s/m', 'N s/(m K)', 'kg', '1/N', '1/N^2', 's']
     assert tuple(body.joint_unit('turn', unit) for unit in turning) == turning
     assert icub().output_units == ('N',) * 3 + ('N m',) * 3
+
+
+@pytest.mark.parametrize(('outputs', 'frame'), [('effort', None), ('wrench', 'mid_link_ft')])
+@pytest.mark.parametrize('joints', [('lift', 'turn', 'elbow'), ('turn', 'elbow', 'grip')])
+def test_a_load_hangs_on_no_link_beyond_a_locked_joint(joints, outputs, frame):
+    body = RigidBody.from_urdf(ODD_ARM, joints, outputs, frame, locked={'grip_mimic': 0.3})
+    assert 'thumb' in observed_links(body) and 'thumb' not in loaded_links(body)
+    assert ('finger' in loaded_links(body)) == ('grip' in joints)
+    assert 'tool' in loaded_links(body)
+    inside = body.arm.frames[body.arm.getFrameId('thumb')].placement.translation  # forearm and body share their frame
+    assert nearest_link(body, 'forearm', inside)[0] == 'tool'
+    assert nearest_link(body, 'thumb', np.zeros(3))[0] == 'thumb'
+
+
+@pytest.mark.parametrize('options', [('effort', None), ('wrench', 'mid_link_ft')])
+def test_a_robot_of_one_joint_is_an_arm_of_which_the_others_rest(options):
+    """pinocchio gives its Jacobian as a vector, over which contacts and outside forces stumbled."""
+    alone, arm = (RigidBody.from_urdf(ODD_ARM, joints, *options) for joints in (('elbow',), ('elbow', 'turn')))
+    motion = smooth_motion(1, 2 * FEW)
+    roles = 'position', 'velocity', 'acceleration'
+    still = replace(motion, **{role: np.column_stack([getattr(motion, role), np.zeros(2 * FEW)]) for role in roles})
+    both = (alone, motion), (arm, still)
+    rows = slice(0, alone.n_outputs)
+    for few in (slice(0, FEW // 2), slice(None)):
+        found, expected = (frame_motion(body, samples[few], 'tool') for body, samples in both)
+        for role in ('position', 'velocity', 'turning'):
+            np.testing.assert_allclose(getattr(found, role), getattr(expected, role), atol=1e-12)
+        np.testing.assert_allclose(found.force_map, expected.force_map[:, rows], atol=1e-12)
+    points = np.array([[0.1, 0.2, 0.3]])
+    for found, expected in zip(unit_maps(alone, motion.position[3], [alone.arm.njoints - 1], points),
+                               unit_maps(arm, still.position[3], [arm.arm.njoints - 1], points), strict=True):
+        np.testing.assert_allclose(found, expected[:, rows], atol=1e-12)
+    wrenches = [ExternalWrench(body, 'tool').outputs_of(samples.position[3])[rows]
+                for body, samples in both]
+    np.testing.assert_allclose(*wrenches, atol=1e-12)
+    if alone.outputs == 'wrench':
+        torques = [joint_torques(body, *(getattr(samples, role)[3] for role in roles), np.arange(6.0))[0][:1]
+                   for body, samples in both]
+        np.testing.assert_allclose(*torques, atol=1e-9)
+
+
+def test_what_the_description_says_of_friction_refuses_no_robot():
+    rubbing = ODD_ARM.replace('<axis', '<dynamics damping="nan" friction="-1"/><axis')
+    body = RigidBody.from_urdf(rubbing, ODD_JOINTS, 'effort')
+    plain = RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, 'effort')
+    np.testing.assert_array_equal(body.base_parameters, plain.base_parameters)

@@ -1,18 +1,20 @@
 """Forms of controllers whose numbers can be checked, and what a node writes."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import yaml
 
 from semiparam_ros.core.columns import CoupledColumns
+from semiparam_ros.effects import effect_from_text
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.export.controllers import crisp_friction, gravity_filter
 from semiparam_ros.export.estimate import Estimate
 from semiparam_ros.export.files import export_to
 from semiparam_ros.export.identified import identify
-from semiparam_ros.export.urdf import described_links
+from semiparam_ros.export.urdf import described_links, identified_urdf
 from support.arms import ICUB_JOINTS, ICUB_OWN
 
 URDF = ICUB_OWN.read_text()
@@ -41,6 +43,26 @@ def test_friction_curves_are_those_of_the_joints(estimate):
     assert np.sum((curve - wanted) ** 2) < 0.03 * np.sum(wanted**2)
     assert np.allclose(curve[:, [2]], 0.0)
     assert np.allclose(curve[:, 3], 0.2, atol=0.02)
+
+
+def test_a_joint_with_damping_alone_has_a_curve_that_is_a_line(estimate):
+    estimate.mean[estimate.columns.blocks['friction']] = [0.5, 1e-3, 0.0, 0.0, *[0.0] * 8]
+    vectors = yaml.safe_load(crisp_friction(identify(estimate, described_links(URDF)), ''))['friction']
+    fp1, fp2 = (np.array(vectors[name])[:2] for name in ('fp1', 'fp2'))
+    velocity = np.linspace(0.1, SPEED, 20)[:, None]
+    np.testing.assert_allclose(0.5 * fp1 * np.tanh(0.5 * fp2 * velocity), velocity * [0.5, 1e-3], rtol=3e-3)
+
+
+def test_a_link_of_any_name_carries_a_load(estimate):
+    odd, columns = URDF.replace('r_hand', 'h &lt;&quot;&amp;'), estimate.columns
+    body = type(columns.body).from_urdf(odd, ICUB_JOINTS, 'effort')
+    load = effect_from_text('payload@r_hand')
+    columns = CoupledColumns(body, [replace(load, where='h <"&')], True, True)
+    mean = columns.expected
+    mean[columns.blocks['0']] = [0.5, 0.0, 0.0, 0.0, 1e-3, 0.0, 1e-3, 0.0, 0.0, 1e-3]
+    known = Estimate(columns, mean, 1e6 * np.eye(len(mean)), 'a table', np.full(4, SPEED))
+    urdf = identified_urdf(odd, identify(known, described_links(odd)), 'how')
+    assert described_links(urdf)['payload_h <"&'][0] == pytest.approx(0.5, rel=1e-3)
 
 
 def test_what_drives_a_joint_is_no_damping(estimate):

@@ -12,7 +12,7 @@ from semiparam_ros.core.robot.frames import load_transform, observed_links
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.effects import effect_from_text
 from semiparam_ros.errors import SemiparamError
-from semiparam_ros.export.controllers import load_at
+from semiparam_ros.export.controllers import load_at, require_possible
 from semiparam_ros.export.estimate import correlation_time, from_recording
 from semiparam_ros.export.identified import identify
 from semiparam_ros.export.report import document, lines, price, remark
@@ -272,6 +272,11 @@ def test_efforts_without_friction_are_those_of_bodies_alone():
     assert found.joints == [] and found.offsets == {}
     urdf = identified_urdf(URDF, found, '')
     assert 'dynamics' not in urdf and 'r_upper_arm' in changed_links(found)
+
+
+def test_efforts_give_no_weight_on_a_sensor():
+    with pytest.raises(SemiparamError, match='takes the weight off a wrench; expected outputs: wrench'):
+        require_possible('gravity-filter', EFFORTS.body)
 
 
 def test_too_few_samples_are_refused():

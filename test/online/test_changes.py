@@ -11,6 +11,8 @@ from semiparam_ros.core.model import ModelOptions
 from semiparam_ros.diagnosis.change import gain_since, name_change
 from semiparam_ros.effects import effect_from_text
 from semiparam_ros.online.changes import LENGTHS, USUAL, ChangeDetector
+from semiparam_ros.online.diagnosis_jobs import diagnose
+from semiparam_ros.online.history import batch_of
 from semiparam_ros.online.wandering_contact import WANDERS, wandering
 from support.changing_arm import LOADED_S, caught, elbow_rests, free, loaded, offered, pushed
 
@@ -247,6 +249,25 @@ def test_a_push_that_holds_a_load_up_says_nothing_against_it():
                          for contacts in ((), ((104.5, 125.5),)))
     assert blind < -12.0
     assert told_of_it > 12.0
+
+
+@pytest.mark.parametrize('begun', [70.0, 99.0, 99.98, 110.0])
+def test_an_effect_that_came_later_is_not_over_before_it_came(begun):
+    """A change that was named anew while a later one was known: "ends at 38.22 s and begins at 70 s"."""
+    body, samples, _ = loaded()
+    later = effect_from_text(f'payload@r_gripper {{"start_s": {begun}}}')
+    found = name_change(body, samples, [later], 100.0)
+    assert found.effect is None or found.effect.end_s is None or found.effect.end_s > (found.effect.start_s or 0.0)
+
+
+@pytest.mark.parametrize('seconds', [5.0, 20.0])
+def test_a_push_that_is_known_is_left_out_of_a_diagnosis(seconds):
+    """Offsets of the sensor were told, or a force; and without the outputs of the push, that no inertias explain it."""
+    body, samples = pushed(seconds=seconds)
+    batch = batch_of((sample, True) for sample in samples[samples.time > 30.0])
+    begin, end = (samples.origin + round(at * 1e9) for at in (69.5, 70.5 + seconds))
+    assert diagnose(body, batch, []).verdict == 'effect_found'
+    assert diagnose(body, batch, [], contacts=[(begin, end)]).verdict == 'nothing_missing'
 
 
 def test_a_declared_load_that_was_put_down_ends_and_is_no_second_force():

@@ -274,6 +274,16 @@ def test_what_comes_again_and_again_is_the_robots_own():
     assert stand.gate.contacts <= 12
 
 
+def test_who_taps_a_robot_again_and_again_is_noticed_each_time():
+    """After the sixth tap in a quarter of a minute taps were usual, and learnt."""
+    stand, innovations = Stand(), white(RATE_HZ * 120)
+    taps = range(RATE_HZ * 30, len(innovations) - RATE_HZ, RATE_HZ * 5 // 2)
+    for start in taps:
+        innovations[start:start + RATE_HZ // 2, 1] += 40.0
+    refused = stand.judge(innovations)
+    assert all(refused[start:start + RATE_HZ // 2].all() for start in taps)
+
+
 def test_an_arm_that_sets_out_does_not_touch():
     """Friction at the start is that of fast motion, which slow motion does not have."""
     stand = Stand()

@@ -13,6 +13,7 @@ from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Sample
 from semiparam_ros.effects import kinds
 from semiparam_ros.errors import SemiparamError
+from semiparam_ros.export.estimate import from_estimator
 from semiparam_ros.online.desired_state import described, desired, joint_torques
 from semiparam_ros.online.feedforward import STATUS, Feedforward, status
 from support.arms import smooth_motion
@@ -105,9 +106,13 @@ def test_it_is_withheld_until_there_is_a_model_or_answered_by_the_description(ou
     body = BODY if outputs == 'wrench' else RigidBody.from_urdf(URDF, settings.joints, 'effort')
     stage, feedforward = Stage(settings, body=body), Feedforward()
     samples = motion(100, body=body)
-    for count in (0, 30, 60):  # nothing yet, gathering, and while the hyperparameters are estimated
+    gathering = 'the initial window is over, which has {} of 60 samples of motion'
+    for count, until in ((0, gathering.format(0)), (30, gathering.format(30)),
+                         (60, 'the hyperparameters of SPK-ML are estimated from the initial window')):
         stage.offer(samples[stage.learner.answered:count])
-        with pytest.raises(SemiparamError, match='withheld until the initial window is over'):
+        with pytest.raises(SemiparamError, match=f'no model yet: there is none until {until}'):
+            from_estimator(stage.learner.estimator, None, 'it')
+        with pytest.raises(SemiparamError, match=f'withheld until {until}'):
             feedforward.answer(stage.learner, *ROW)
     stage.learner.change(replace(settings, feedforward_before_ready='description'))
     found = feedforward.answer(stage.learner, *ROW)

@@ -294,5 +294,7 @@ def test_trajectories_that_lack_something_are_refused_by_name():
     for value in (np.nan, np.inf, 1e160):
         with pytest.raises(SemiparamError, match='point 3 of desired_trajectory has velocities'):
             desired_state(TrajectoryPoint((full[0], np.array([0.0, value]), full[2], np.zeros(0)), 0), [0, 1], 2, 3)
+    with pytest.raises(SemiparamError, match=r'desired_trajectory has the stamp 2\.14748e\+09 s; expected one'):
+        TrajectoryReader(b'\0\0\0\0' + np.array([2**31 - 1, 2**32 - 1, 0, 0, 0], '>u4').tobytes())
     with pytest.raises(SemiparamError, match='point 3 of desired_trajectory lies at'):
         stamp_of(2**31 * 10**9, TrajectoryPoint((), 2**31 * 10**9), 3)

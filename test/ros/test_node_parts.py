@@ -4,10 +4,12 @@ import json
 import re
 import xml.etree.ElementTree as ElementTree
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 
 from semiparam_ros.online.identified_parameters import reported_load
+from semiparam_ros.ros.estimator.diagnosing import Diagnosing, Running
 from semiparam_ros.ros.estimator.diagnostics import (
     OK,
     REPORTS,
@@ -128,7 +130,8 @@ def test_a_payload_is_withheld_while_nobody_can_know_it_and_has_the_stamp_of_the
     stage, samples = Stage(replace(SETTINGS, variant='P')), motion(200)
     tally = Tally(stage.learner.body.joints)
     stage.offer(samples[:30])
-    assert believed_load(stage.learner, tally) == (None, 'withheld: the initial window is not over.')
+    assert believed_load(stage.learner, tally) == (
+        None, 'withheld until the initial window is over, which has 30 of 60 samples of motion.')
     stage.offer_and_build(samples[30:190])
     stage.offer(samples[190:])
     for answer in stage.answers:
@@ -145,3 +148,21 @@ def test_a_payload_is_withheld_while_nobody_can_know_it_and_has_the_stamp_of_the
     tally.innovation()
     load, sentence = believed_load(stage.learner, tally)
     assert load is None and 'predicted standard deviations off' in sentence
+
+
+def test_a_diagnosis_leaves_out_contacts_and_says_so():
+    """It judged the pushes too, which ~/apply_diagnosis left out."""
+    stage, samples = Stage(replace(SETTINGS, variant='P')), motion(500)
+    stage.offer_and_build(samples)
+    begin, end = samples[100].stamp, samples[200].stamp
+    stage.learner.changes._contacts.over += [(0, begin - 1), (begin, end)]
+    asked, told = [], []
+    diagnosing = Diagnosing.__new__(Diagnosing)
+    background = SimpleNamespace(submit=lambda *job, done: asked.append(job))
+    node = SimpleNamespace(get_logger=lambda: SimpleNamespace(info=told.append))
+    diagnosing._node, diagnosing._background, diagnosing._learner = node, background, lambda: stage.learner
+    diagnosing._progress = SimpleNamespace(publish=lambda message: None)
+    diagnosing._running = Running(None, stage.learner.history.span(8.0), (), 0.0, None)
+    diagnosing._look(1.0)
+    assert asked[0][-1] == stage.learner.changes.contacts
+    assert re.search(r'evenly spread over 8 s, but for 2\.0 s of contacts', told[0]), told

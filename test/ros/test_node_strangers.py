@@ -51,6 +51,22 @@ def test_a_gripper_and_absent_accelerations_are_nothing_to_warn_of(start_node):
     assert "must name joint 'b' once" in message
 
 
+def test_a_driver_that_leaves_velocities_empty_after_a_reconnect_is_followed(start_node):
+    _, client = start_node(Settings.from_mapping({**SETTINGS.mapping(), 'sensor_frame': '', 'outputs': 'effort',
+                                                  'variant': 'P'}))
+    client.offer('joint_states')
+    samples = motion(600)
+    play(client, samples[:100])
+    for sample in samples[100:400]:
+        client.state(sample, JOINTS, velocity=[], effort=sample.position.tolist())
+        time.sleep(0.01)
+    _, _, values = client.wait_report('inputs', lambda level, message, values: level == DiagnosticStatus.OK and
+                                      message == 'receiving; velocities are estimated from the positions.')
+    assert values['refused: wrong_length'] == '3' and 'before it held velocities' in values['last refusal']
+    play(client, samples[400:])
+    assert len(client.stamps('residual')) == 597
+
+
 def test_who_forgets_that_a_robot_has_efforts_alone_is_told(start_node):
     node, client = start_node(replace(SETTINGS, variant='P'))
     client.offer('joint_states')
@@ -153,3 +169,27 @@ def test_a_second_publisher_is_told_once_by_its_node(start_node):
         time.sleep(0.02)
     client.report('learning')
     assert node.output.count('publish on wrench') == 1
+
+
+def test_a_strangers_zeros_are_refused_as_another_robots(start_node):
+    """They were learnt, and for a minute nothing that changed had a name."""
+    _, client = start_node(Settings.from_mapping({**SETTINGS.mapping(), 'sensor_frame': '', 'outputs': 'effort',
+                                                  'variant': 'P'}))
+    client.offer('joint_states')
+    samples = [sample._replace(position=sample.position + 2.0) for sample in motion(200)]
+    play(client, samples[:100])
+    with Peer('stranger') as stranger:
+        zeros = stranger.node.create_publisher(JointState, client.outputs['joint_states'].topic, 10)
+        client.wait(lambda: zeros.get_subscription_count(), 'it is heard')
+        client.wait_report('inputs', lambda level, message, values: values['joint_states publishers'] == '2')
+        for sample in samples[100:]:
+            message = JointState(name=list(JOINTS), position=[0.0, 0.0], velocity=[0.0, 0.0], effort=[0.0, 0.0])
+            set_stamp(message.header.stamp, sample.stamp - 5_000_000)
+            zeros.publish(message)
+            time.sleep(0.01)
+            client.state(sample, JOINTS, effort=sample.position.tolist())
+            time.sleep(0.01)
+        _, _, values = client.wait_report('inputs', lambda level, message, values: 'refused: elsewhere' in values)
+        client.wait(lambda: len(client.stamps('residual')) >= 200, 'the robot is answered')
+    assert set(client.stamps('residual')) == {sample.stamp for sample in samples}
+    assert 'this one is of another robot' in values['last refusal']

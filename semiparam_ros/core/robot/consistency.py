@@ -133,9 +133,15 @@ def consistent_bodies(mean: Array, root: Array, bodies: Sequence[Body]) -> Array
                              'has learnt.')
     if not bodies:
         return np.zeros((0, 10))
-    problem = _Problem(mean, root, bodies)
     pseudo = pseudo_inertia(np.array([body.reference for body in bodies]))
-    loss = max(problem.value(pseudo), 1.0)
+    try:
+        problem = _Problem(mean, root, bodies)
+        loss = max(problem.value(pseudo), 1.0)
+    except np.linalg.LinAlgError:
+        loss = np.inf
+    if not np.isfinite(loss):
+        raise SemiparamError('a mass is described so far from its link that its own inertia is lost '
+                             'in the digits; check the units of the inertials\' origins.')
     for share in np.geomspace(1.0 / loss, 1.0, 1 + int(np.ceil(np.log10(loss)))).tolist():
         pseudo = _minimum(problem, pseudo, share)
     return inertial_parameters(pseudo)

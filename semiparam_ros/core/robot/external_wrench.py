@@ -22,7 +22,7 @@ import numpy as np
 import pinocchio as pin
 
 from semiparam_ros.core.prediction import Prediction
-from semiparam_ros.core.robot.frames import frame_index, last_link
+from semiparam_ros.core.robot.frames import as_matrix, frame_index, last_link
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.types import Array
 
@@ -66,7 +66,7 @@ class ExternalWrench:
         body, model, data = self._body, self._body.arm, self._data
         q = body.arm_vector(position)
         if body.outputs == 'effort':
-            jacobian = pin.computeFrameJacobian(model, data, q, self._index, pin.LOCAL)
+            jacobian = as_matrix(pin.computeFrameJacobian(model, data, q, self._index, pin.LOCAL))
             return -np.asarray(jacobian)[:, body.output_rows].T
         if self._at_sensor:
             return -body.sign * np.eye(6)

@@ -20,6 +20,11 @@ LINKS_APART = 0.005
 MOST_LINKS = 6
 
 
+def as_matrix(jacobian: Array) -> Array:
+    """(6, n), also of a single joint, of which pinocchio gives a vector (6,)."""
+    return jacobian.reshape(6, -1)
+
+
 class FrameMotion(NamedTuple):
     """A link's frame over N samples, in the base."""
 
@@ -38,15 +43,16 @@ class FrameMotion(NamedTuple):
 
 
 def loaded_links(body: RigidBody) -> dict[str, int]:
-    """For each body that the outputs feel, the farthest of its links with mass or children, and the body's number.
+    """For each body that the outputs feel, the farthest of its links, and the body's number.
 
-    These are the places where a load or an outside force can be told from another body's.
+    These are the places where a load or an outside force can be told from another body's. None is beyond a locked
+    joint: what is carried there would move with a finger.
     """
     model = body.arm if body.distal is None else body.distal
     links: dict[int, tuple[float, str]] = {}
     for frame in model.frames:
         joint = frame.parentJoint
-        if frame.type != pin.FrameType.BODY or joint == 0:
+        if frame.type != pin.FrameType.BODY or joint == 0 or frame.name in body.held:
             continue
         reach = float(np.linalg.norm(frame.placement.translation))
         if joint not in links or reach > links[joint][0] + 1e-9:
@@ -110,7 +116,7 @@ def unit_maps(body: RigidBody, position: Array, joints: Sequence[int], points: A
     if body.distal is not None:
         sensor = pin.updateFramePlacement(model, data, body.sensor_index)
         return _on_sensor(body, places, np.broadcast_to(sensor.rotation, (len(places), 3, 3)), sensor.translation)
-    found = {joint: pin.getJointJacobian(model, data, joint, pin.LOCAL_WORLD_ALIGNED)[:, body.output_rows]
+    found = {joint: as_matrix(pin.getJointJacobian(model, data, joint, pin.LOCAL_WORLD_ALIGNED))[:, body.output_rows]
              for joint in set(joints)}
     motions = np.array([found[joint] for joint in joints])
     arms = places - np.array([data.oMi[joint].translation for joint in joints])
@@ -142,7 +148,7 @@ def _one_by_one(body: RigidBody, samples: Samples, frame: int) -> tuple[Array, A
         pin.computeJointJacobians(model, data, q)
         placement = pin.updateFramePlacement(model, data, frame)
         rows.append((placement.rotation.copy(), placement.translation.copy(),
-                     pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED)))
+                     as_matrix(pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED))))
     rotation, position, jacobian = (np.array(column) for column in zip(*rows, strict=True))
     return rotation, position, jacobian[:, :3], jacobian[:, 3:]
 
@@ -172,15 +178,15 @@ def _on_sensor(body: RigidBody, position: Array, rotation: Array, sensor: Array)
 
 
 def nearest_link(body: RigidBody, link: str, point: Array) -> tuple[str, Array]:
-    """Return the link, of those beside ``link``, whose origin is nearest to a point (3,) [m], and
-    the point in its frame.
+    """Return the link, of those beside ``link`` and not beyond a locked joint, whose origin is
+    nearest to a point (3,) [m], and the point in its frame.
 
     :param point: in the frame of ``link``.
     """
     model = body.arm if body.distal is None else body.distal
     place = model.frames[_frame(model, link, body)].placement.act(point)
     inside = {name: model.frames[_frame(model, name, body)].placement.actInv(place)
-              for name in links_beside(body, link)}
+              for name in links_beside(body, link) if name == link or name not in body.held}
     nearest = min(inside, key=lambda name: float(np.linalg.norm(inside[name])))
     return nearest, inside[nearest]
 

@@ -28,8 +28,7 @@ from semiparam_ros.core.types import Array, Indices
 from semiparam_ros.errors import SemiparamError
 
 GRAVITY = np.array([0.0, 0.0, -9.81])
-SENSOR = 'semiparam_sensor'
-ROOT = 'semiparam_root'
+SENSOR, ROOT = urdf_tree.SENSOR, urdf_tree.ROOT
 JOINT = 'joint '
 
 OUTPUTS = ('wrench', 'effort')
@@ -104,6 +103,13 @@ def reduced(model: pin.Model, joints: Collection[str], locked: Mapping[str, floa
     return left
 
 
+def held_links(model: pin.Model, joints: Collection[str]) -> frozenset[str]:
+    """Links of a whole tree that hang on a joint which is none of those named: on the robot they may move."""
+    moving = {urdf_tree.UNIVERSE, ROOT, *joints}
+    return frozenset(frame.name for frame in model.frames
+                     if frame.type == pin.FrameType.BODY and model.names[frame.parentJoint] not in moving)
+
+
 def _joints_apart(model: pin.Model) -> pin.Model:
     """The model with names of joints that no link has: a URDF may name both alike, but pinocchio looks for either."""
     apart = model.copy()
@@ -137,8 +143,10 @@ class RigidBody:
     """
 
     def __init__(self, arm: pin.Model, distal: pin.Model | None, frame: str | None, joints: Sequence[str],
-                 sign: float, output_joints: Sequence[str] = ()) -> None:
+                 sign: float, output_joints: Sequence[str] = (), held: Collection[str] = ()) -> None:
         self.joints = tuple(joints)
+        self.held = frozenset(held)
+        """Links beyond a locked joint: here they are fixed to the body before it."""
         self.output_index: Indices = np.array([index for index, name in enumerate(joints) if name in output_joints],
                                               dtype=np.int64)
         """(n,) numbers of the joints whose efforts are the outputs; of a wrench (0,)."""
@@ -201,19 +209,21 @@ class RigidBody:
         urdf_tree.check_joints(robot, joints)
         locked = dict(locked or {})
         check_locked(joints, locked)
-        arm = reduced(build(robot), joints, locked)
+        whole = build(robot)
+        arm = reduced(whole, joints, locked)
         if outputs == 'effort':
             urdf_tree.check_output_joints(joints, output_joints)
-            return cls(arm, None, None, joints, 1.0, output_joints or joints)
+            return cls(arm, None, None, joints, 1.0, output_joints or joints, held_links(whole, joints))
         if not sensor_frame:
             raise SemiparamError('sensor_frame is empty; a wrench needs the link or joint that carries the sensor.')
         link = urdf_tree.sensor_link(robot, sensor_frame)
-        mark_sensor(arm, build(robot), joints, locked, link)
+        mark_sensor(arm, whole, joints, locked, link)
         subtree = ElementTree.fromstring(urdf_tree.distal_subtree(robot, link))
         inside = set(urdf_tree.joint_types(subtree))
-        distal = reduced(build(subtree, pin.JointModelFreeFlyer()), inside & set(joints),
+        hanging = build(subtree, pin.JointModelFreeFlyer())
+        distal = reduced(hanging, inside & set(joints),
                          {name: value for name, value in locked.items() if name in inside}, keep_root=True)
-        return cls(arm, distal, sensor_frame, joints, CONVENTIONS[convention])
+        return cls(arm, distal, sensor_frame, joints, CONVENTIONS[convention], held=held_links(hanging, joints))
 
     @property
     def n_joints(self) -> int:

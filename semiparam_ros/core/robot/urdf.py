@@ -16,13 +16,20 @@ TYPES = (*MOVING, 'fixed', 'floating', 'planar')
 NUMBERS = {'origin': {'xyz': 3, 'rpy': 3}, 'axis': {'xyz': 3}, 'mass': {'value': 1},
            'inertia': dict.fromkeys(('ixx', 'ixy', 'ixz', 'iyy', 'iyz', 'izz'), 1)}
 
-IGNORED = ('visual', 'collision')
+IGNORED = {'link': ('visual', 'collision'), 'joint': ('dynamics',)}
+"""What no rigid body needs: the reader refuses a robot for values there."""
 MOST_CHARACTERS = 2_000_000
 """Of a description: ten times the longest of a humanoid."""
 MOST_DEPTH = 100
 """Of elements within each other: whoever writes or copies them calls itself once for each."""
 UNIVERSE = 'universe'
-"""Pinocchio's name for what the root hangs on, which no other frame may have."""
+"""Pinocchio's name for what the root hangs on."""
+SENSOR, ROOT = 'semiparam_sensor', 'semiparam_root'
+"""Names of the frame of a wrench sensor, and of the joint by which the bodies beyond it hang there."""
+TAKEN = (UNIVERSE, SENSOR, ROOT)
+"""Names that nothing else may have."""
+FARTHEST_M = 1e4
+"""Of an origin from what it is told of: beyond, numbers lose the digits that inertias need."""
 
 NO_LIMIT = '1e9'
 
@@ -42,10 +49,10 @@ def parse(urdf: str) -> ElementTree.Element:
     if robot.tag != 'robot' or robot.find('link') is None:
         raise SemiparamError(f'the robot description starts with <{robot.tag}> and holds '
                              f'{len(robot.findall("link"))} links; expected a URDF <robot> with at least one.')
-    for link in robot.findall('link'):
-        for name in IGNORED:
-            for element in link.findall(name):
-                link.remove(element)
+    for kind, names in IGNORED.items():
+        for owner in robot.findall(kind):
+            for element in [each for name in names for each in owner.findall(name)]:
+                owner.remove(element)
     check_tree(robot)
     for joint in robot.findall('joint'):
         if joint.get('type') == 'continuous':
@@ -170,7 +177,7 @@ def _named(robot: ElementTree.Element, kind: str) -> dict[str, ElementTree.Eleme
         name = element.get('name')
         if not name:
             raise _fault(f'a {kind} has no name.')
-        if name == UNIVERSE:
+        if name in TAKEN:
             raise _fault(f"a {kind} is called '{name}', a name that is taken; rename it.")
         if name in table:
             raise _fault(f"two {kind}s are called '{name}'.")
@@ -204,6 +211,9 @@ def _check_numbers(element: ElementTree.Element) -> None:
             if text is not None and not _is_finite(text, count):
                 raise _fault(f"{element.tag} '{element.get('name')}' has {part.tag} {attribute}=\"{text}\"; expected "
                              f'{count} finite number{"s" if count > 1 else ""}.')
+            if text is not None and part.tag == 'origin' and max(map(abs, map(float, text.split()))) > FARTHEST_M:
+                raise _fault(f"{element.tag} '{element.get('name')}' has origin {attribute}=\"{text}\"; expected "
+                             f'numbers up to {FARTHEST_M:g}.')
 
 
 def _check_axis(element: ElementTree.Element) -> None:

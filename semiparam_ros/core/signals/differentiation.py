@@ -43,6 +43,11 @@ class CausalDifferentiator:
         self._age = 0
         self._fit = np.zeros((3, self._n_joints))  # value, rate and its change at the last stamp
 
+    def begin(self, stamp: int, values: Array, rates: Array) -> None:
+        """Start afresh from values (n_joints,) and rates [1/s] that are known at ``stamp`` [ns]."""
+        self.reset()
+        self._fit[0], self._fit[1], self._stamp, self._age = values, rates, stamp, 2
+
     def update(self, stamp: int, values: Array) -> Array:
         """(n_joints,) rates [1/s] of the values at ``stamp`` [ns], from these and earlier values.
 

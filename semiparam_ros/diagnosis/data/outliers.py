@@ -11,6 +11,7 @@ slides, dry friction is constant.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -61,6 +62,15 @@ def working_factor(samples: Samples, config: DiagnosisConfig = DEFAULTS) -> int:
 def margin(samples: Samples, config: DiagnosisConfig = DEFAULTS) -> int:
     """How many samples beside a gap or a break are left out."""
     return max(config.gap_margin, working_factor(samples, config) * config.smoothing_ends)
+
+
+def untouched(samples: Samples, contacts: Sequence[tuple[float, float]],
+              config: DiagnosisConfig = DEFAULTS) -> Mask:
+    """(N,) the samples that may be used: none :func:`excluded`, and none of contacts [s]."""
+    clean = ~excluded(samples, config)
+    for first, last in contacts:
+        clean &= (samples.time < first) | (samples.time > last)
+    return clean
 
 
 def excluded(samples: Samples, config: DiagnosisConfig = DEFAULTS) -> Mask:

@@ -89,7 +89,12 @@ def best_edge(fit: Fit, columns: Array, span: Span, name: str, within_s: tuple[f
     fitting, other = np.flatnonzero(fit.train_mask), replace(span, **{name: None})
     held = columns * other.holds(fit.samples.stamps, fit.samples.origin)[:, None, None]
     count = len(fitting)
-    low, high = np.clip(np.searchsorted(fit.samples.time[fitting], within_s), 1, count - 1).tolist()
+    low, high = np.searchsorted(fit.samples.time[fitting], within_s).tolist()
+    if other.start_s is not None:  # the other time is kept, and no span is empty
+        low = max(low, int(np.searchsorted(fit.samples.time[fitting], other.start_s, 'right')) + 1)
+    if other.end_s is not None:
+        high = min(high, int(np.searchsorted(fit.samples.time[fitting], other.end_s)) - 1)
+    low, high = min(max(low, 1), count - 1), min(max(low, high, 1), count - 1)
     near = np.unique(np.linspace(low, high, fit.config.start_grid).astype(int))
     for _ in range(2):  # some of the samples between both times, then every one near the best
         number = np.arange(1, len(near) + 1)

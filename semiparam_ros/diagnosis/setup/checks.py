@@ -22,9 +22,9 @@ from scipy.optimize import linear_sum_assignment
 
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
-from semiparam_ros.core.types import Array, Stamps
+from semiparam_ros.core.types import Array, Mask, Stamps
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
-from semiparam_ros.diagnosis.data.outliers import excluded, typical_step, working_factor
+from semiparam_ros.diagnosis.data.outliers import typical_step, untouched, working_factor
 from semiparam_ros.diagnosis.preparation import Inputs
 from semiparam_ros.diagnosis.setup.prior_misfit import (
     Equations,
@@ -61,10 +61,12 @@ class SetupProblem(NamedTuple):
     sentence: str
 
 
-def setup_problems(body: RigidBody, samples: Samples, config: DiagnosisConfig = DEFAULTS) -> list[SetupProblem]:
+def setup_problems(body: RigidBody, samples: Samples, config: DiagnosisConfig = DEFAULTS,
+                   touched: Sequence[tuple[float, float]] = ()) -> list[SetupProblem]:
     """What is wrong with the recording or with its declaration, each with its remedy; empty when all is well.
 
     :param samples: as recorded; ``config.setup_samples`` of them, spread over the recording, are looked at.
+    :param touched: [s] between which the robot is known to have been touched: outputs then tell nothing.
     """
     if len(samples) < config.least_working_samples or np.all(
             np.ptp(samples.position, axis=0) < config.slow_range):
@@ -74,15 +76,16 @@ def setup_problems(body: RigidBody, samples: Samples, config: DiagnosisConfig = 
     missing = _mostly_zero(body, samples, config)
     if missing:
         return missing
-    found, right = motion_problems(body, samples, config)
+    usable = untouched(samples, touched, config)
+    found, right = motion_problems(body, samples, usable, config)
     if any(problem.what == 'clock' for problem in found):
         return found
-    usable = np.flatnonzero(~excluded(samples, config))
-    if len(usable) < config.least_working_samples:
+    if usable.sum() < config.least_working_samples:
         return found
-    at_hand = right[_spread(usable, config)] if samples.acceleration.any() else _smoothed(samples, right, config)
+    at_hand = (right[_spread(np.flatnonzero(usable), config)] if samples.acceleration.any()
+               else _smoothed(usable, right, config))
     layout = layout_problems(body, at_hand, config)
-    return found + (_confirmed(body, samples, right, layout, config) if layout else [])
+    return found + (_confirmed(body, usable, right, layout, config) if layout else [])
 
 
 def _spread(usable: Stamps, config: DiagnosisConfig) -> Stamps:
@@ -90,22 +93,22 @@ def _spread(usable: Stamps, config: DiagnosisConfig) -> Stamps:
     return usable[np.unique(np.linspace(0, len(usable) - 1, config.setup_samples).astype(int))]
 
 
-def _smoothed(samples: Samples, right: Samples, config: DiagnosisConfig) -> Samples:
-    """Some of the corrected samples ``right``, where those as recorded are usable, with accelerations out of the whole
-    recording."""
+def _smoothed(usable: Mask, right: Samples, config: DiagnosisConfig) -> Samples:
+    """Some of the corrected samples ``right``, where those as recorded are usable (N,), with accelerations out of the
+    whole recording."""
     inputs = Inputs('smoothed', working_factor(right, config), config.smoothing_ends)
-    usable = np.flatnonzero(inputs.mask(~excluded(samples, config)))
-    return inputs.prepare(right)[_spread(usable, config)] if len(usable) else right[:0]
+    chosen = np.flatnonzero(inputs.mask(usable))
+    return inputs.prepare(right)[_spread(chosen, config)] if len(chosen) else right[:0]
 
 
-def _confirmed(body: RigidBody, samples: Samples, right: Samples, layout: list[SetupProblem],
+def _confirmed(body: RigidBody, usable: Mask, right: Samples, layout: list[SetupProblem],
                config: DiagnosisConfig) -> list[SetupProblem]:
     """The problems that stay with accelerations out of the whole recording.
 
     Those at hand may be filtered as samples came: of fast motion at a low rate, neither says what the arm did.
     """
-    smoothed = _smoothed(samples, right, config)
-    if len(smoothed) < config.least_working_samples or not samples.acceleration.any():
+    smoothed = _smoothed(usable, right, config)
+    if len(smoothed) < config.least_working_samples or not right.acceleration.any():
         return layout
     again = layout_problems(body, smoothed, config)
     return layout if any(problem.what == NO_MATCH for problem in again) else again
@@ -141,11 +144,14 @@ def _mostly_zero(body: RigidBody, samples: Samples, config: DiagnosisConfig) -> 
 # --- do positions, velocities, accelerations and stamps agree? ---
 
 
-def motion_problems(body: RigidBody, samples: Samples,
+def motion_problems(body: RigidBody, samples: Samples, usable: Mask,
                     config: DiagnosisConfig) -> tuple[list[SetupProblem], Samples]:
-    """Contradictions between positions, velocities, accelerations and stamps, and the corrected samples."""
+    """Contradictions between positions, velocities, accelerations and stamps, and the corrected samples.
+
+    :param usable: (N,) samples whose outputs tell something.
+    """
     joints, moving = body.joints, np.ptp(samples.position, axis=0) > config.slow_range
-    problems, right = _put_right(body, samples, samples, _other_belongings(joints, samples, moving, config), config)
+    problems, right = _put_right(body, usable, samples, _other_belongings(joints, samples, moving, config), config)
     changes, integrals = _spans(right.time, right.position, right.velocity, config)
     ratios = [_ratio(changes[:, joint], integrals[:, joint], config) if moving[joint] else math.nan
               for joint in range(len(joints))]
@@ -153,7 +159,7 @@ def motion_problems(body: RigidBody, samples: Samples,
     if clock:
         return clock, samples
     opposite = [_opposite(joints, joint) for joint, ratio in enumerate(ratios) if _agrees(ratio, -1.0, config)]
-    signs, right = _put_right(body, samples, right, opposite, config)
+    signs, right = _put_right(body, usable, right, opposite, config)
     problems += signs
     for joint, (name, ratio) in enumerate(zip(joints, ratios, strict=True)):
         little = np.std(integrals[:, joint]) < config.little * np.std(changes[:, joint])
@@ -196,7 +202,7 @@ class Belonging(NamedTuple):
     said: tuple[SetupProblem, ...]
 
 
-def _put_right(body: RigidBody, samples: Samples, right: Samples, belongings: Iterable[Belonging],
+def _put_right(body: RigidBody, usable: Mask, right: Samples, belongings: Iterable[Belonging],
                config: DiagnosisConfig) -> tuple[list[SetupProblem], Samples]:
     """Whether the velocities are wrong, or the positions, by which of them makes the outputs likelier."""
     problems = []
@@ -204,7 +210,7 @@ def _put_right(body: RigidBody, samples: Samples, right: Samples, belongings: It
         back = np.argsort(order)
         ways = (_with_velocities(right, order, signs, config),
                 relabelled(right, ('position',), back, signs[back]))
-        ready = [_smoothed(samples, one, config) for one in ways]
+        ready = [_smoothed(usable, one, config) for one in ways]
         wrong = 0
         if len(ready[0]) >= config.least_working_samples:
             likely = [evidence(equations(body, one, config), one.outputs).log for one in ready]

@@ -76,6 +76,9 @@ class TrajectoryReader:
             raise self._refusal(failure) from None
         _limit('points', self.n_points, MOST_POINTS)
         _limit('bytes', self._size, MOST_BYTES)
+        if not self.stamp < END_OF_TIME_NS:
+            raise SemiparamError(f'desired_trajectory has the stamp {self.stamp / NANOSECONDS:g} s; expected one below '
+                                 '2^31 s.')
 
     def points(self) -> Iterator[TrajectoryPoint]:
         """Every point; raises SemiparamError where the message breaks off."""
@@ -224,7 +227,7 @@ class DesiredTrajectory:
 
     def _tell_withheld(self) -> None:
         """Once when it begins, and once when trajectories are answered again: a controller sends many a second."""
-        if self.feedforward.withheld != self._warned:
+        if bool(self.feedforward.withheld) != bool(self._warned):
             self._warned, self._told = self.feedforward.withheld, set()
             self._warn(self._warned or 'desired trajectories are answered.')
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import NamedTuple, TypeVar
 
@@ -177,8 +177,10 @@ class Diagnosing:
         if len(part) < len(diagnosis_jobs.thinned(samples, 1.0)):
             looked += f', as it gets {share:.0%} of a processor'
         learner = self._learner()
+        contacts = learner.changes.contacts
+        looked += _left_out(samples, contacts)
         job = self._background.submit(diagnosis_jobs.diagnose, learner.body, part, self._running.effects,
-                                      tuple(learner.changes.applied.contributions),
+                                      tuple(learner.changes.applied.contributions), contacts,
                                       done=partial(self._then, partial(self._conclude, looked)))
         self._running = self._running._replace(job=job)
         self._node.get_logger().info(f'a diagnosis looks at {looked}, in a process beside the node.')
@@ -213,6 +215,13 @@ def _looked(samples: SampleBatch, part: SampleBatch) -> str:
     """Sentence on the samples that a diagnosis looks at."""
     seconds = (samples.stamps[-1] - samples.stamps[0]) * 1e-9
     return f'{len(part)} of {len(samples)} samples, evenly spread over {seconds:.0f} s'
+
+
+def _left_out(samples: SampleBatch, contacts: Sequence[tuple[int, int]]) -> str:
+    """Words on the stretches [ns] of them in which the robot was touched; '' without any."""
+    begin, end = (int(stamp) for stamp in samples.stamps[[0, -1]])
+    seconds = sum(max(min(last, end) - max(first, begin), 0) for first, last in contacts) * 1e-9
+    return f', but for {seconds:.1f} s of contacts' if seconds > 0.0 else ''
 
 
 def _listed(effects: tuple[Effect, ...]) -> str:

@@ -211,7 +211,9 @@ class InputReport:
         if cold:
             return Report(WARN, f'no temperature of {listed(cold)} for more than {TEMPERATURE_SILENCE_S:g} s; answers '
                                 f'go on with the last one.{self._ignored()}', values)
-        return Report(OK, 'receiving.', values)
+        stream = self._inputs.stream
+        estimated = stream is not None and not stream.velocities_measured
+        return Report(OK, f'receiving{"; velocities are estimated from the positions" * estimated}.', values)
 
     def _refusals(self, news: Counter[str]) -> str:
         """What was refused since the last report: the last sentence of each reason."""
@@ -405,7 +407,7 @@ def errors_report(errors: InternalErrors, duplicates: str) -> Report:
 def believed_load(learner: Learner, tally: Tally) -> tuple[Load | None, str]:
     """Load that the arm carries; None and the reason while that cannot be told."""
     if not learner.estimator.ready:
-        return None, 'withheld: the initial window is not over.'
+        return None, f'withheld until {learner.estimator.model_comes}.'
     detector, (picked, load) = learner.changes.detector, learner.changes.picked
     if picked and load is None:
         return None, 'withheld: something was just picked up or put down, and is being named.'
@@ -519,7 +521,7 @@ class Reports:
                      'reliability: best_effort hears both.', self._node.get_logger().warning)
         for topic, owners in self._inputs.newly_shared():
             self.say(f'{len(owners)} publish on {topic}: {", ".join(owners)}. All that holds this robot\'s joints or '
-                     'sensor is learnt.', self._node.get_logger().warning)
+                     'sensor is learnt, but for joint states that jump.', self._node.get_logger().warning)
         learner = self._learner()
         self._log_stage(learner)
         if learner is None:

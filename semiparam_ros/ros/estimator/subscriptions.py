@@ -396,6 +396,8 @@ class InputStream:
         assert stream is not None
         ignored = stream.ignored
         backward, misplaced = stream.faults['backward_stamp'], stream.faults['wrong_frame']
+        if topic == JOINT_STATES:
+            stream.shared = self.publishers(JOINT_STATES) > 1
         samples = FEEDS[topic].kind.feed(stream, reading.stamp, *reading.fields)
         if stream.faults['backward_stamp'] > backward:
             if topic != TEMPERATURE:  # of many publishers: what one of them says of the time is not the robot's clock
