@@ -24,6 +24,7 @@ from semiparam_ros.diagnosis.search.moves import (
     repeated_moves,
     simplest,
     single_moves,
+    swapping_moves,
 )
 from semiparam_ros.diagnosis.search.revision import bent, pruned, reshaped, split
 from semiparam_ros.diagnosis.search.score import block_gains
@@ -38,6 +39,7 @@ class Rival(NamedTuple):
     kind: str
     where: str | None
     odds: float
+    effect: Effect | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,7 +74,7 @@ def search(fit: Fit, kinds: dict[str, type[Effect]], progress: Progress = lambda
     steps: list[Step] = []
     for _ in range(fit.config.most_rounds):
         late = bool(steps) and len(steps[-1].added) > 1  # what moves in time bends what was just found at many places
-        step = _next_step(fit, kinds, fixed, late, partial(_report, progress, len(steps) + 1))
+        step = _next_step(fit, kinds, fixed, late, _rivalries(fit, steps), partial(_report, progress, len(steps) + 1))
         if step is None:
             shaped = reshaped(fit, fixed, kinds) if steps else fit
             if shaped is fit:
@@ -89,16 +91,27 @@ def search(fit: Fit, kinds: dict[str, type[Effect]], progress: Progress = lambda
     return steps
 
 
+def _rivalries(fit: Fit, steps: Sequence[Step]) -> list[tuple[Effect, Effect]]:
+    """Each effect that was found and is still there, with the likeliest rival of each kind."""
+    pairs = []
+    for step in steps:
+        held = [effect for effect in fit.effects if identity(effect) == identity(step.added[0])]
+        likeliest = {rival.kind: rival.effect for rival in sorted(step.rivals, key=lambda rival: rival.odds)}
+        pairs += [(held[0], rival) for rival in likeliest.values() if held and rival is not None]
+    return pairs
+
+
 def _next_step(fit: Fit, kinds: dict[str, type[Effect]], fixed: Collection[Place], late: bool,
-               report: Progress) -> Step | None:
+               rivalries: Sequence[tuple[Effect, Effect]], report: Progress) -> Step | None:
     """The best move and what it makes needless.
 
     :param late: tries what moves all inputs beside other forms of what is known; as where nothing else is good.
+    :param rivalries: effects that were found, each with one that explained the same.
     """
     trials = coarse(fit, candidates(fit, kinds), report)
     ranking = refine_foremost(fit, trials)
     moves = [*single_moves(fit, ranking, kinds), *group_moves(fit, trials, fixed, kinds), *ending_moves(fit),
-             *repeated_moves(fit, ranking, kinds)]
+             *repeated_moves(fit, ranking, kinds), *swapping_moves(fit, rivalries, kinds)]
     if late or not any(move.good for move in moves):
         moves += moving_moves(fit, fixed, kinds)
     good = [move for move in moves if move.good]
@@ -144,7 +157,8 @@ def _rivals(fit: Fit, chosen: Move, moves: Sequence[Move]) -> tuple[Rival, ...]:
         drawn = gains[generator.integers(len(gains), size=(draws, len(gains)))].sum(axis=1)
         better = min(int((drawn > 0.0).sum()), draws - 1)
         if better > 1:
-            found.append(Rival(move.added[0].kind, move.added[0].where, better / (draws - better)))
+            rival = move.added[0]
+            found.append(Rival(rival.kind, rival.where, better / (draws - better), rival))
     return tuple(found)
 
 
