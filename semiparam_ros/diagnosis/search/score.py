@@ -22,11 +22,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from semiparam_ros.core.robot.size import reach_of
 from semiparam_ros.core.types import Array, Indices
 from semiparam_ros.diagnosis.data.recordings import breaks_s
 from semiparam_ros.diagnosis.regression import Fit
 from semiparam_ros.diagnosis.search.candidates import added_columns, identity
-from semiparam_ros.diagnosis.search.refit import calibrated_values, told_by_sliding
+from semiparam_ros.diagnosis.search.refit import calibrated_values, points_of, shape_columns, told_by_sliding
 
 
 class ChannelGrams(NamedTuple):
@@ -127,13 +128,17 @@ def block_grams(fit: Fit, edges: Array) -> BlockGrams:
 
 
 def _open_columns(fit: Fit) -> tuple[Array, Array, Array]:
-    """(N, n, c) derivatives of the prediction by the calibrations, their prior deviations (c,) and their values."""
+    """(N, n, c) derivatives of the prediction by the calibrations and by points of application, their prior deviations
+    (c,) and their values."""
     calibrated = [effect for effect in fit.effects if effect.is_calibration]
+    points = points_of(fit)
     columns = [added_columns(fit, effect) for effect in calibrated]
     spread = [effect.calibration_scale(fit.body) for effect in calibrated]
     values = [calibrated_values(effect) for effect in calibrated]
-    return (np.concatenate([np.zeros((*fit.residual.shape, 0)), *columns], axis=2),
-            np.concatenate([np.zeros(0), *spread]), np.concatenate([np.zeros(0), *values]))
+    where = [fit.effects[shape.number].value(shape.name) for shape in points]
+    return (np.concatenate([shape_columns(fit, []), *columns, shape_columns(fit, points)], axis=2),
+            np.concatenate([np.zeros(0), *spread, np.full(len(points), reach_of(fit.body))]),
+            np.concatenate([np.zeros(0), *values, where]))
 
 
 def block_edges(fit: Fit, times_s: Collection[float] = ()) -> Array:
@@ -238,11 +243,13 @@ def _worth(fit: Fit) -> list[Gain]:
 def columns_of_effects(fit: Fit) -> list[Indices]:
     """Of each effect its columns' numbers in the block grams; a calibration's come last."""
     found, end = [], fit.n_columns
+    point = end + sum(len(effect.calibrations) for effect in fit.effects)
+    points = [shape.number for shape in points_of(fit)]
     for index, effect in enumerate(fit.effects):
         if effect.is_calibration:
             found.append(np.arange(end, end + len(effect.calibrations)))
             end += len(effect.calibrations)
         else:
             block = fit.assembly.blocks[str(index)]
-            found.append(np.arange(block.start, block.stop))
+            found.append(np.append(np.arange(block.start, block.stop), point + np.flatnonzero(np.equal(points, index))))
     return found
