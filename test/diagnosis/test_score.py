@@ -20,6 +20,7 @@ from semiparam_ros.diagnosis.search.score import (
     ChannelGrams,
     block_edges,
     block_grams,
+    columns_of_effects,
     gain,
     repetition,
     summed,
@@ -116,6 +117,17 @@ def test_an_effect_that_is_there_gains_and_one_that_is_not_costs():
     first, second = worth(both)
     assert first.total > 100.0 and second.total < 5.0
     assert [effect.kind for effect in pruned(both, (), KINDS).effects] == ['viscous_friction']
+
+
+def test_a_point_of_application_costs_what_its_coordinates_tell():
+    """They cost nothing: a force with a point of its own was told of a load, which pays for its centre."""
+    at_origin, elsewhere = (KINDS['external_force']('finger', point) for point in ({}, {'x': 1e-3, 'y': 0.0, 'z': 0.0}))
+    samples = moving()
+    pushed = replace(samples, outputs=samples.outputs + at_origin.columns(BODY, samples, None)[0] @ [0.3, 0.0, -0.4])
+    plain, free = fitted(pushed, [at_origin]), fitted(pushed, [elsewhere])
+    assert len(columns_of_effects(free)[0]) == 6 and len(columns_of_effects(plain)[0]) == 3
+    assert gain(plain, free).total < -1.0
+    np.testing.assert_allclose(worth(free)[0].total, gain(fitted(pushed), free).total, rtol=0.5)
 
 
 def test_only_losses_speak_against_a_gain():
