@@ -98,14 +98,6 @@ def offset_columns(fit):
     return added_columns(fit, fit.effects[1])[:, :, 0]
 
 
-def test_blocks_lie_on_both_sides_of_a_start():
-    fit = fitted(moving())
-    start = 0.9 * fit.samples.time[-1]
-    edges = block_edges(fit, [start])
-    assert len(edges) == fit.config.blocks - 1
-    assert np.sum(fit.samples.time[edges] < start) == fit.config.blocks // 2 - 1
-
-
 def test_an_effect_that_is_there_gains_and_one_that_is_not_costs():
     samples = moving()
     rubbing = replace(samples, outputs=samples.outputs + 0.3 * samples.velocity)

@@ -141,15 +141,10 @@ def _open_columns(fit: Fit) -> tuple[Array, Array, Array]:
             np.concatenate([np.zeros(0), *values, where]))
 
 
-def block_edges(fit: Fit, times_s: Collection[float] = ()) -> Array:
-    """(B - 1,) sample numbers at which blocks begin: as many samples in use each; where something begins or ends, as
-    many blocks before that as after it."""
-    used = np.flatnonzero(fit.train_mask)
-    changes = np.searchsorted(used, np.searchsorted(fit.samples.time, sorted(times_s)))
-    parts = [0, *np.unique(changes[(changes > 0) & (changes < len(used))]).tolist(), len(used)]
-    blocks = fit.config.blocks // (len(parts) - 1)
-    edges = [start + np.arange(blocks) * (end - start) // blocks for start, end in pairwise(parts)]
-    return np.asarray(used[np.concatenate(edges)[1:]])
+def block_edges(fit: Fit) -> Array:
+    """(B - 1,) sample numbers at which blocks begin: as many samples in use each."""
+    used, blocks = np.flatnonzero(fit.train_mask), fit.config.blocks
+    return np.asarray(used[np.arange(1, blocks) * len(used) // blocks])
 
 
 def grams_of(fit: Fit, edges: Array) -> BlockGrams:
@@ -167,13 +162,13 @@ def gain(before: Fit, after: Fit, times_s: Collection[float] = ()) -> Gain:
     :param times_s: [s] when something begins or ends that one of them has and the other lacks. A search for a time fits
         a block, and so the best block tells the time and nothing else: it does not count.
     """
-    gains, breaks = block_gains(before, after, times_s), breaks_s(before.samples)
+    gains, breaks = block_gains(before, after), breaks_s(before.samples)
     searched = sum(time_s not in breaks for time_s in times_s)
     return summed(np.sort(gains)[:len(gains) - searched])
 
 
-def block_gains(before: Fit, after: Fit, times_s: Collection[float] = ()) -> Array:
-    """(B,) the same of each block; where models have columns for errors of the inputs, with or without these, whichever
+def block_gains(before: Fit, after: Fit) -> Array:
+    """(B,) gain of each block; where models have columns for errors of the inputs, with or without these, whichever
     gains less: what only makes up for what they spoil explains nothing, nor does what only they do better.
 
     Models of which one has a calibration that moves friction are compared where joints slide.
@@ -182,7 +177,7 @@ def block_gains(before: Fit, after: Fit, times_s: Collection[float] = ()) -> Arr
                       for fit in (before, after))
     if moving != others:
         before, after = before.sliding, after.sliding
-    edges, repeated = block_edges(before, times_s), repetition(after)
+    edges, repeated = block_edges(before), repetition(after)
     densities = [[_densities(fit, edges, repeated, gone) for gone in _views(fit)]
                  for fit in (after, before)]
     return min((one - other for one, other in zip(*densities, strict=True)), key=np.sum)
