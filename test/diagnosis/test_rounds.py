@@ -18,6 +18,7 @@ from semiparam_ros.diagnosis.diagnose import diagnose
 from semiparam_ros.diagnosis.evaluation import evaluation_of
 from semiparam_ros.diagnosis.preparation import ESTIMATED, best_inputs
 from semiparam_ros.diagnosis.regression import Fit, fit_model, refitted, with_effects
+from semiparam_ros.diagnosis.search import stepwise
 from semiparam_ros.diagnosis.search.candidates import added_columns, candidates, held
 from semiparam_ros.diagnosis.search.moves import swapping_moves
 from semiparam_ros.diagnosis.search.plausibility import all_plausible
@@ -309,6 +310,24 @@ def test_what_was_found_gives_way_to_a_rival_that_more_knowledge_tells_from_it()
     step = Step(added=(force,), rivals=(rival._replace(odds=0.1, effect=force), rival), ranking=(), before=start,
                 after=wrong)
     assert _rivalries(wrong, [step]) == [(force, load)] and _rivalries(right, [step]) == []
+
+
+def test_a_move_that_comes_to_nothing_does_not_end_the_search(monkeypatch):
+    """The best move was friction in another form; it came to what was known, and a zero of 2.3 degrees was missed."""
+    made, tried = stepwise._made, []
+
+    def nothing_at_first(fit, best, *others):
+        tried.append(best)
+        step = made(fit, best, *others)
+        return step if len(tried) > 1 else replace(step, added=(), after=fit)
+
+    monkeypatch.setattr(stepwise, '_made', nothing_at_first)
+    samples = moving()
+    samples.outputs[:, 1] += 0.4 * samples.velocity[:, 1]
+    samples.outputs[:, 3] += 0.05 * samples.acceleration[:, 3]
+    known = {name: kinds('effort')[name] for name in ('viscous_friction', 'rotor_inertia')}
+    steps = search(starting_fit(BODY, samples, [], np.ones(COUNT, dtype=bool)), known)
+    assert [step.added[0].kind for step in steps] == ['rotor_inertia', 'viscous_friction']
 
 
 def test_a_force_beyond_the_weight_of_the_arm_is_no_finding():

@@ -82,8 +82,7 @@ def test_a_density_is_that_of_the_block_given_all_the_others(seed, n, blocks, p)
 
 def test_the_grams_of_a_model_are_those_of_its_columns():
     fit = fitted(moving(), [KINDS['viscous_friction']('turn'), KINDS['joint_offset']('grip', {'offset': 0.0})])
-    edges = block_edges(fit)
-    found = block_grams(fit, edges)
+    edges, found = block_edges(fit), block_grams(fit)
     assert len(found.prior) == fit.n_columns + 1 and found.counts.sum() == 4 * COUNT
     assert len(edges) + 1 == fit.config.blocks and np.ptp(np.diff(edges)) <= 1
     np.testing.assert_allclose(found.power.sum(axis=0), np.sum(
@@ -161,7 +160,7 @@ def test_priors_of_the_robots_size_hold_what_the_other_blocks_leave_open():
     motion = replace(motion, outputs=BODY.regressors(motion) @ BODY.base_parameters
                      + 0.01 * np.random.default_rng(0).standard_normal((COUNT, 4)))
     fit = fit_model(BODY, motion, [], np.ones(COUNT, dtype=bool), np.full(4, 0.01))
-    densities = block_grams(fit, block_edges(fit)).densities(fit.scale, np.ones(4))
+    densities = block_grams(fit).densities(fit.scale, np.ones(4))
     assert densities.min() > densities.max() - 100.0
 
 

@@ -108,11 +108,10 @@ def _log_evidence(normal: Array, right: Array) -> Array:
     return np.asarray(0.5 * (right * solved).sum(axis=-1) - logarithm)
 
 
-def block_grams(fit: Fit, edges: Array) -> BlockGrams:
-    """Those of a fitted model, where blocks end before the samples numbered ``edges`` (B - 1,)."""
+def block_grams(fit: Fit) -> BlockGrams:
+    """Those of a fitted model."""
     further, spread, values = _open_columns(fit)
-    target = fit.at_prior + further @ values
-    blocks = len(edges) + 1
+    target, edges, blocks = fit.at_prior + further @ values, block_edges(fit), fit.config.blocks
     channels, power, counts = [], np.zeros((blocks, len(fit.scale))), np.zeros((blocks, len(fit.scale)))
     for number, (used, support, rows) in enumerate(zip(fit.in_use, fit.support, fit.rows, strict=True)):
         acting = np.flatnonzero(further[used, number].any(axis=0))
@@ -147,15 +146,6 @@ def block_edges(fit: Fit) -> Array:
     return np.asarray(used[np.arange(1, blocks) * len(used) // blocks])
 
 
-def grams_of(fit: Fit, edges: Array) -> BlockGrams:
-    """:func:`block_grams`, computed once."""
-    key = edges.tobytes()
-    if key not in fit.asked:
-        fit.asked[key] = block_grams(fit, edges)
-    found: BlockGrams = fit.asked[key]
-    return found
-
-
 def gain(before: Fit, after: Fit, times_s: Collection[float] = ()) -> Gain:
     """Of the second model over the first, with as many independent samples as the second one's residual leaves.
 
@@ -177,9 +167,8 @@ def block_gains(before: Fit, after: Fit) -> Array:
                       for fit in (before, after))
     if moving != others:
         before, after = before.sliding, after.sliding
-    edges, repeated = block_edges(before), repetition(after)
-    densities = [[_densities(fit, edges, repeated, gone) for gone in _views(fit)]
-                 for fit in (after, before)]
+    repeated = repetition(after)
+    densities = [[_densities(fit, repeated, gone) for gone in _views(fit)] for fit in (after, before)]
     return min((one - other for one, other in zip(*densities, strict=True)), key=np.sum)
 
 
@@ -197,9 +186,10 @@ def repetition(fit: Fit) -> Array:
     return np.asarray(fit.correlation * (1.0 + independent / fit.config.coarseness))
 
 
-def _densities(fit: Fit, edges: Array, correlation: Array, gone: Indices) -> Array:
+def _densities(fit: Fit, correlation: Array, gone: Indices) -> Array:
     """(B,) of a model without some of its columns."""
-    grams = grams_of(fit, edges)
+    grams: BlockGrams = fit.asked.get('grams') or block_grams(fit)
+    fit.asked['grams'] = grams
     if not len(gone):
         return grams.densities(fit.scale, correlation)
     kept = np.setdiff1d(np.arange(len(grams.prior)), gone)
@@ -225,11 +215,10 @@ def worth(fit: Fit) -> list[Gain]:
 
 
 def _worth(fit: Fit) -> list[Gain]:
-    edges, repeated, gains = block_edges(fit), repetition(fit), []
-    views = _views(fit)
-    whole = [_densities(fit, edges, repeated, gone) for gone in views]
+    repeated, views, gains = repetition(fit), _views(fit), []
+    whole = [_densities(fit, repeated, gone) for gone in views]
     for columns in columns_of_effects(fit):
-        without = [_densities(fit, edges, repeated, np.append(columns, gone)) for gone in views]
+        without = [_densities(fit, repeated, np.append(columns, gone)) for gone in views]
         differences = [one - other for one, other in zip(whole, without, strict=True)]
         gains.append(summed(min(differences, key=np.sum)))
     return gains
