@@ -26,7 +26,7 @@ from semiparam_ros.diagnosis.data.splits import block_sums
 from semiparam_ros.diagnosis.regression import Fit, fit_model, refit_weights
 from semiparam_ros.diagnosis.residual.noise import inertia_columns
 from semiparam_ros.diagnosis.search.candidates import held
-from semiparam_ros.diagnosis.search.score import block_edges, block_grams, summed
+from semiparam_ros.diagnosis.search.score import block_grams, summed
 from semiparam_ros.effects import Effect, kinds
 from semiparam_ros.errors import SemiparamError
 
@@ -156,7 +156,7 @@ def best_inputs(body: RigidBody, samples: Samples, effects: Sequence[Effect], tr
         prepared = inputs.prepare(samples)
         fit = refit_weights(fit_model(body, prepared, with_usual(body, prepared, effects), common, scale, config,
                                       counted_outputs(body, prepared, config)))
-        densities[name] = block_grams(fit, block_edges(fit)).densities(fit.scale, np.ones(body.n_outputs))
+        densities[name] = block_grams(fit).densities(fit.scale, np.ones(body.n_outputs))
     best = max(densities, key=lambda name: float(densities[name].sum()))
     lost = {name: summed(densities[best] - densities[name]) for name in options}
     return options[next(name for name in options if lost[name].total <= lost[name].error)]

@@ -18,11 +18,13 @@ from semiparam_ros.diagnosis.diagnose import diagnose
 from semiparam_ros.diagnosis.evaluation import evaluation_of
 from semiparam_ros.diagnosis.preparation import ESTIMATED, best_inputs
 from semiparam_ros.diagnosis.regression import Fit, fit_model, refitted, with_effects
+from semiparam_ros.diagnosis.search import stepwise
 from semiparam_ros.diagnosis.search.candidates import added_columns, candidates, held
+from semiparam_ros.diagnosis.search.moves import swapping_moves
 from semiparam_ros.diagnosis.search.plausibility import all_plausible
 from semiparam_ros.diagnosis.search.refit import declare, gauss_newton
 from semiparam_ros.diagnosis.search.score import gain
-from semiparam_ros.diagnosis.search.stepwise import search, starting_fit
+from semiparam_ros.diagnosis.search.stepwise import Rival, Step, _rivalries, search, starting_fit
 from semiparam_ros.diagnosis.text_report import text_report
 from semiparam_ros.effects import effect_from_text, kinds
 from semiparam_ros.effects.base import Span
@@ -290,6 +292,42 @@ def test_a_load_must_be_a_body_as_far_as_the_motion_shows():
     assert np.linalg.eigvalsh(pseudo_inertia(body))[0] > 0.0
     ghost = np.array([0.007, 0.0, 0.0, 0.0, -1.9, 0.0, -1.9, 0.0, 0.0, -1.9])
     assert not all_plausible(*with_load(ghost, 0.01))
+
+
+def test_what_was_found_gives_way_to_a_rival_that_more_knowledge_tells_from_it():
+    """A load at a tool, told as a force while friction was unknown, stayed one, and a zero beside it was missed."""
+    samples, known = moving(), kinds('effort')
+    half = Span(float(samples.time[COUNT // 2]))
+    load, force = (known[kind]('finger', span=half) for kind in ('payload', 'external_force'))
+    carried = load.columns(BODY, samples, None)[0] @ [0.05, 0.0, 0.0, 0.008, 2e-3, 0.0, 2e-3, 0.0, 0.0, 2e-4]
+    samples = replace(samples, outputs=samples.outputs + carried)
+    start = starting_fit(BODY, samples, [], np.ones(COUNT, dtype=bool))
+    wrong, right = declare(start, [force]), declare(start, [load])
+    [swap], [back] = swapping_moves(wrong, [(force, load)], known), swapping_moves(right, [(load, force)], known)
+    assert [effect.kind for effect in swap.after.effects] == ['payload'] and swap.good and not back.good
+    assert swap.price == pytest.approx(-back.price)
+    rival = Rival('payload', 'finger', 1.0, load)
+    step = Step(added=(force,), rivals=(rival._replace(odds=0.1, effect=force), rival), ranking=(), before=start,
+                after=wrong)
+    assert _rivalries(wrong, [step]) == [(force, load)] and _rivalries(right, [step]) == []
+
+
+def test_a_move_that_comes_to_nothing_does_not_end_the_search(monkeypatch):
+    """The best move was friction in another form; it came to what was known, and a zero of 2.3 degrees was missed."""
+    made, tried = stepwise._made, []
+
+    def nothing_at_first(fit, best, *others):
+        tried.append(best)
+        step = made(fit, best, *others)
+        return step if len(tried) > 1 else replace(step, added=(), after=fit)
+
+    monkeypatch.setattr(stepwise, '_made', nothing_at_first)
+    samples = moving()
+    samples.outputs[:, 1] += 0.4 * samples.velocity[:, 1]
+    samples.outputs[:, 3] += 0.05 * samples.acceleration[:, 3]
+    known = {name: kinds('effort')[name] for name in ('viscous_friction', 'rotor_inertia')}
+    steps = search(starting_fit(BODY, samples, [], np.ones(COUNT, dtype=bool)), known)
+    assert [step.added[0].kind for step in steps] == ['rotor_inertia', 'viscous_friction']
 
 
 def test_a_force_beyond_the_weight_of_the_arm_is_no_finding():

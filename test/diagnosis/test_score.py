@@ -20,6 +20,7 @@ from semiparam_ros.diagnosis.search.score import (
     ChannelGrams,
     block_edges,
     block_grams,
+    columns_of_effects,
     gain,
     repetition,
     summed,
@@ -81,8 +82,7 @@ def test_a_density_is_that_of_the_block_given_all_the_others(seed, n, blocks, p)
 
 def test_the_grams_of_a_model_are_those_of_its_columns():
     fit = fitted(moving(), [KINDS['viscous_friction']('turn'), KINDS['joint_offset']('grip', {'offset': 0.0})])
-    edges = block_edges(fit)
-    found = block_grams(fit, edges)
+    edges, found = block_edges(fit), block_grams(fit)
     assert len(found.prior) == fit.n_columns + 1 and found.counts.sum() == 4 * COUNT
     assert len(edges) + 1 == fit.config.blocks and np.ptp(np.diff(edges)) <= 1
     np.testing.assert_allclose(found.power.sum(axis=0), np.sum(
@@ -97,14 +97,6 @@ def offset_columns(fit):
     return added_columns(fit, fit.effects[1])[:, :, 0]
 
 
-def test_blocks_lie_on_both_sides_of_a_start():
-    fit = fitted(moving())
-    start = 0.9 * fit.samples.time[-1]
-    edges = block_edges(fit, [start])
-    assert len(edges) == fit.config.blocks - 1
-    assert np.sum(fit.samples.time[edges] < start) == fit.config.blocks // 2 - 1
-
-
 def test_an_effect_that_is_there_gains_and_one_that_is_not_costs():
     samples = moving()
     rubbing = replace(samples, outputs=samples.outputs + 0.3 * samples.velocity)
@@ -116,6 +108,17 @@ def test_an_effect_that_is_there_gains_and_one_that_is_not_costs():
     first, second = worth(both)
     assert first.total > 100.0 and second.total < 5.0
     assert [effect.kind for effect in pruned(both, (), KINDS).effects] == ['viscous_friction']
+
+
+def test_a_point_of_application_costs_what_its_coordinates_tell():
+    """They cost nothing: a force with a point of its own was told of a load, which pays for its centre."""
+    at_origin, elsewhere = (KINDS['external_force']('finger', point) for point in ({}, {'x': 1e-3, 'y': 0.0, 'z': 0.0}))
+    samples = moving()
+    pushed = replace(samples, outputs=samples.outputs + at_origin.columns(BODY, samples, None)[0] @ [0.3, 0.0, -0.4])
+    plain, free = fitted(pushed, [at_origin]), fitted(pushed, [elsewhere])
+    assert len(columns_of_effects(free)[0]) == 6 and len(columns_of_effects(plain)[0]) == 3
+    assert gain(plain, free).total < -1.0
+    np.testing.assert_allclose(worth(free)[0].total, gain(fitted(pushed), free).total, rtol=0.5)
 
 
 def test_only_losses_speak_against_a_gain():
@@ -157,7 +160,7 @@ def test_priors_of_the_robots_size_hold_what_the_other_blocks_leave_open():
     motion = replace(motion, outputs=BODY.regressors(motion) @ BODY.base_parameters
                      + 0.01 * np.random.default_rng(0).standard_normal((COUNT, 4)))
     fit = fit_model(BODY, motion, [], np.ones(COUNT, dtype=bool), np.full(4, 0.01))
-    densities = block_grams(fit, block_edges(fit)).densities(fit.scale, np.ones(4))
+    densities = block_grams(fit).densities(fit.scale, np.ones(4))
     assert densities.min() > densities.max() - 100.0
 
 

@@ -101,7 +101,7 @@ def test_the_block_that_tells_a_searched_time_does_not_count():
     samples = carrying((0.5 * END_S, None))
     load = kinds()['payload']('tool', span=Span(0.5 * END_S))
     without, with_it = (starting_fit(BODY, samples, effects, np.ones(COUNT, dtype=bool)) for effects in ([], [load]))
-    each = block_gains(without, with_it, [0.5 * END_S])
+    each = block_gains(without, with_it)
     assert gain(without, with_it, [0.5 * END_S]).total == pytest.approx(each.sum() - each.max())
 
 

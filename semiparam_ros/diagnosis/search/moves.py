@@ -93,6 +93,19 @@ def ending_moves(fit: Fit) -> list[Move]:
     return moves
 
 
+def swapping_moves(fit: Fit, pairs: Sequence[tuple[Effect, Effect]], kinds: Collection[str]) -> list[Move]:
+    """What was found, each with a rival in its place: what has come in since may tell the two apart."""
+    moves = []
+    for known, rival in pairs:
+        rest = with_effects(fit, others(fit, known))
+        after = declare(rest, [rival])
+        if all_plausible(rest, after):
+            times = set(known.span.values.values()) ^ set(rival.span.values.values())
+            price = prices([rival], rest, kinds) - prices([known], rest, kinds)
+            moves.append(Move((rival,), after, gain(fit, after, times), price))
+    return moves
+
+
 def group_moves(fit: Fit, trials: Sequence[Trial], fixed: Collection[Place], kinds: Collection[str]) -> list[Move]:
     """Kinds at all their places at once: what one joint lacks bends the rigid body's fit of the others."""
     groups: dict[str, list[Effect]] = {}

@@ -51,6 +51,12 @@ def shapes_of(fit: Fit, found: Collection[int]) -> list[Shape]:
     return shapes
 
 
+def points_of(fit: Fit) -> list[Shape]:
+    """The coordinates of points of application that are no frame's origin."""
+    at_points = [number for number, effect in enumerate(fit.effects) if effect.parameters.keys() & POINT.keys()]
+    return [shape for shape in shapes_of(fit, at_points) if shape.name in POINT]
+
+
 def shape_columns(fit: Fit, shapes: list[Shape]) -> Array:
     """(N, n, len(shapes)) derivatives of the prediction by the values, at the fitted coefficients."""
     blocks, slopes = fit.assembly.blocks, [np.zeros((*fit.residual.shape, 0))]

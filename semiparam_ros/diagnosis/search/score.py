@@ -22,11 +22,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from semiparam_ros.core.robot.size import reach_of
 from semiparam_ros.core.types import Array, Indices
 from semiparam_ros.diagnosis.data.recordings import breaks_s
 from semiparam_ros.diagnosis.regression import Fit
 from semiparam_ros.diagnosis.search.candidates import added_columns, identity
-from semiparam_ros.diagnosis.search.refit import calibrated_values, told_by_sliding
+from semiparam_ros.diagnosis.search.refit import calibrated_values, points_of, shape_columns, told_by_sliding
 
 
 class ChannelGrams(NamedTuple):
@@ -107,11 +108,10 @@ def _log_evidence(normal: Array, right: Array) -> Array:
     return np.asarray(0.5 * (right * solved).sum(axis=-1) - logarithm)
 
 
-def block_grams(fit: Fit, edges: Array) -> BlockGrams:
-    """Those of a fitted model, where blocks end before the samples numbered ``edges`` (B - 1,)."""
+def block_grams(fit: Fit) -> BlockGrams:
+    """Those of a fitted model."""
     further, spread, values = _open_columns(fit)
-    target = fit.at_prior + further @ values
-    blocks = len(edges) + 1
+    target, edges, blocks = fit.at_prior + further @ values, block_edges(fit), fit.config.blocks
     channels, power, counts = [], np.zeros((blocks, len(fit.scale))), np.zeros((blocks, len(fit.scale)))
     for number, (used, support, rows) in enumerate(zip(fit.in_use, fit.support, fit.rows, strict=True)):
         acting = np.flatnonzero(further[used, number].any(axis=0))
@@ -127,33 +127,23 @@ def block_grams(fit: Fit, edges: Array) -> BlockGrams:
 
 
 def _open_columns(fit: Fit) -> tuple[Array, Array, Array]:
-    """(N, n, c) derivatives of the prediction by the calibrations, their prior deviations (c,) and their values."""
+    """(N, n, c) derivatives of the prediction by the calibrations and by points of application, their prior deviations
+    (c,) and their values."""
     calibrated = [effect for effect in fit.effects if effect.is_calibration]
+    points = points_of(fit)
     columns = [added_columns(fit, effect) for effect in calibrated]
     spread = [effect.calibration_scale(fit.body) for effect in calibrated]
     values = [calibrated_values(effect) for effect in calibrated]
-    return (np.concatenate([np.zeros((*fit.residual.shape, 0)), *columns], axis=2),
-            np.concatenate([np.zeros(0), *spread]), np.concatenate([np.zeros(0), *values]))
+    where = [fit.effects[shape.number].value(shape.name) for shape in points]
+    return (np.concatenate([shape_columns(fit, []), *columns, shape_columns(fit, points)], axis=2),
+            np.concatenate([np.zeros(0), *spread, np.full(len(points), reach_of(fit.body))]),
+            np.concatenate([np.zeros(0), *values, where]))
 
 
-def block_edges(fit: Fit, times_s: Collection[float] = ()) -> Array:
-    """(B - 1,) sample numbers at which blocks begin: as many samples in use each; where something begins or ends, as
-    many blocks before that as after it."""
-    used = np.flatnonzero(fit.train_mask)
-    changes = np.searchsorted(used, np.searchsorted(fit.samples.time, sorted(times_s)))
-    parts = [0, *np.unique(changes[(changes > 0) & (changes < len(used))]).tolist(), len(used)]
-    blocks = fit.config.blocks // (len(parts) - 1)
-    edges = [start + np.arange(blocks) * (end - start) // blocks for start, end in pairwise(parts)]
-    return np.asarray(used[np.concatenate(edges)[1:]])
-
-
-def grams_of(fit: Fit, edges: Array) -> BlockGrams:
-    """:func:`block_grams`, computed once."""
-    key = edges.tobytes()
-    if key not in fit.asked:
-        fit.asked[key] = block_grams(fit, edges)
-    found: BlockGrams = fit.asked[key]
-    return found
+def block_edges(fit: Fit) -> Array:
+    """(B - 1,) sample numbers at which blocks begin: as many samples in use each."""
+    used, blocks = np.flatnonzero(fit.train_mask), fit.config.blocks
+    return np.asarray(used[np.arange(1, blocks) * len(used) // blocks])
 
 
 def gain(before: Fit, after: Fit, times_s: Collection[float] = ()) -> Gain:
@@ -162,13 +152,13 @@ def gain(before: Fit, after: Fit, times_s: Collection[float] = ()) -> Gain:
     :param times_s: [s] when something begins or ends that one of them has and the other lacks. A search for a time fits
         a block, and so the best block tells the time and nothing else: it does not count.
     """
-    gains, breaks = block_gains(before, after, times_s), breaks_s(before.samples)
+    gains, breaks = block_gains(before, after), breaks_s(before.samples)
     searched = sum(time_s not in breaks for time_s in times_s)
     return summed(np.sort(gains)[:len(gains) - searched])
 
 
-def block_gains(before: Fit, after: Fit, times_s: Collection[float] = ()) -> Array:
-    """(B,) the same of each block; where models have columns for errors of the inputs, with or without these, whichever
+def block_gains(before: Fit, after: Fit) -> Array:
+    """(B,) gain of each block; where models have columns for errors of the inputs, with or without these, whichever
     gains less: what only makes up for what they spoil explains nothing, nor does what only they do better.
 
     Models of which one has a calibration that moves friction are compared where joints slide.
@@ -177,9 +167,8 @@ def block_gains(before: Fit, after: Fit, times_s: Collection[float] = ()) -> Arr
                       for fit in (before, after))
     if moving != others:
         before, after = before.sliding, after.sliding
-    edges, repeated = block_edges(before, times_s), repetition(after)
-    densities = [[_densities(fit, edges, repeated, gone) for gone in _views(fit)]
-                 for fit in (after, before)]
+    repeated = repetition(after)
+    densities = [[_densities(fit, repeated, gone) for gone in _views(fit)] for fit in (after, before)]
     return min((one - other for one, other in zip(*densities, strict=True)), key=np.sum)
 
 
@@ -197,9 +186,10 @@ def repetition(fit: Fit) -> Array:
     return np.asarray(fit.correlation * (1.0 + independent / fit.config.coarseness))
 
 
-def _densities(fit: Fit, edges: Array, correlation: Array, gone: Indices) -> Array:
+def _densities(fit: Fit, correlation: Array, gone: Indices) -> Array:
     """(B,) of a model without some of its columns."""
-    grams = grams_of(fit, edges)
+    grams: BlockGrams = fit.asked.get('grams') or block_grams(fit)
+    fit.asked['grams'] = grams
     if not len(gone):
         return grams.densities(fit.scale, correlation)
     kept = np.setdiff1d(np.arange(len(grams.prior)), gone)
@@ -225,11 +215,10 @@ def worth(fit: Fit) -> list[Gain]:
 
 
 def _worth(fit: Fit) -> list[Gain]:
-    edges, repeated, gains = block_edges(fit), repetition(fit), []
-    views = _views(fit)
-    whole = [_densities(fit, edges, repeated, gone) for gone in views]
+    repeated, views, gains = repetition(fit), _views(fit), []
+    whole = [_densities(fit, repeated, gone) for gone in views]
     for columns in columns_of_effects(fit):
-        without = [_densities(fit, edges, repeated, np.append(columns, gone)) for gone in views]
+        without = [_densities(fit, repeated, np.append(columns, gone)) for gone in views]
         differences = [one - other for one, other in zip(whole, without, strict=True)]
         gains.append(summed(min(differences, key=np.sum)))
     return gains
@@ -238,11 +227,13 @@ def _worth(fit: Fit) -> list[Gain]:
 def columns_of_effects(fit: Fit) -> list[Indices]:
     """Of each effect its columns' numbers in the block grams; a calibration's come last."""
     found, end = [], fit.n_columns
+    point = end + sum(len(effect.calibrations) for effect in fit.effects)
+    points = [shape.number for shape in points_of(fit)]
     for index, effect in enumerate(fit.effects):
         if effect.is_calibration:
             found.append(np.arange(end, end + len(effect.calibrations)))
             end += len(effect.calibrations)
         else:
             block = fit.assembly.blocks[str(index)]
-            found.append(np.arange(block.start, block.stop))
+            found.append(np.append(np.arange(block.start, block.stop), point + np.flatnonzero(np.equal(points, index))))
     return found

@@ -24,9 +24,10 @@ from semiparam_ros.diagnosis.search.moves import (
     repeated_moves,
     simplest,
     single_moves,
+    swapping_moves,
 )
 from semiparam_ros.diagnosis.search.revision import bent, pruned, reshaped, split
-from semiparam_ros.diagnosis.search.score import block_gains
+from semiparam_ros.diagnosis.search.score import block_gains, gain
 from semiparam_ros.diagnosis.search.scoring import Progress, Trial, coarse, overlap, refine_foremost
 from semiparam_ros.effects import Effect
 from semiparam_ros.effects.base import place
@@ -38,6 +39,7 @@ class Rival(NamedTuple):
     kind: str
     where: str | None
     odds: float
+    effect: Effect | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,8 +73,7 @@ def search(fit: Fit, kinds: dict[str, type[Effect]], progress: Progress = lambda
     fixed = {identity(effect) for effect in fit.effects}
     steps: list[Step] = []
     for _ in range(fit.config.most_rounds):
-        late = bool(steps) and len(steps[-1].added) > 1  # what moves in time bends what was just found at many places
-        step = _next_step(fit, kinds, fixed, late, partial(_report, progress, len(steps) + 1))
+        step = _next_step(fit, kinds, fixed, steps, partial(_report, progress, len(steps) + 1))
         if step is None:
             shaped = reshaped(fit, fixed, kinds) if steps else fit
             if shaped is fit:
@@ -81,46 +82,61 @@ def search(fit: Fit, kinds: dict[str, type[Effect]], progress: Progress = lambda
             steps[-1] = replace(steps[-1], after=fit)
             continue
         step.before.forget()  # far larger than the rest, as what trials leave
-        ranking = tuple(replace(trial, residual=None) for trial in step.ranking)
-        steps.append(replace(step, ranking=ranking))
         fit = step.after
+        if not step.added:
+            steps[-1] = replace(steps[-1], after=fit)
+            continue
+        steps.append(replace(step, ranking=tuple(replace(trial, residual=None) for trial in step.ranking)))
         if hopeless(fit):
             break
     return steps
 
 
-def _next_step(fit: Fit, kinds: dict[str, type[Effect]], fixed: Collection[Place], late: bool,
-               report: Progress) -> Step | None:
-    """The best move and what it makes needless.
+def _rivalries(fit: Fit, steps: Sequence[Step]) -> list[tuple[Effect, Effect]]:
+    """Each effect that was found and is still there, with the likeliest rival of each kind."""
+    pairs = []
+    for step in steps:
+        held = [effect for effect in fit.effects if identity(effect) == identity(step.added[0])]
+        likeliest = {rival.kind: rival.effect for rival in sorted(step.rivals, key=lambda rival: rival.odds)}
+        pairs += [(held[0], rival) for rival in likeliest.values() if held and rival is not None]
+    return pairs
 
-    :param late: tries what moves all inputs beside other forms of what is known; as where nothing else is good.
+
+def _next_step(fit: Fit, kinds: dict[str, type[Effect]], fixed: Collection[Place], steps: Sequence[Step],
+               report: Progress) -> Step | None:
+    """The best move that comes to something, and what it makes needless.
+
+    What moves in time bends what was just found at many places, so it is tried beside other forms of what is known
+    then; and where nothing else is good.
     """
     trials = coarse(fit, candidates(fit, kinds), report)
     ranking = refine_foremost(fit, trials)
     moves = [*single_moves(fit, ranking, kinds), *group_moves(fit, trials, fixed, kinds), *ending_moves(fit),
-             *repeated_moves(fit, ranking, kinds)]
-    if late or not any(move.good for move in moves):
+             *repeated_moves(fit, ranking, kinds), *swapping_moves(fit, _rivalries(fit, steps), kinds)]
+    if (steps and len(steps[-1].added) > 1) or not any(move.good for move in moves):
         moves += moving_moves(fit, fixed, kinds)
     good = [move for move in moves if move.good]
-    if not good:
-        return None
-    step = _made(fit, simplest(good), moves, ranking, fixed, kinds)
-    if step is not None:
-        report(f'found {", ".join(place(effect.kind, effect.where) for effect in step.added)}', 1.0)
-    return step
+    while good:
+        best = simplest(good)
+        step = _made(fit, best, moves, ranking, fixed, kinds)
+        if step.added:
+            report(f'found {", ".join(place(effect.kind, effect.where) for effect in step.added)}', 1.0)
+        if step.added or (steps and gain(fit, step.after).total > fit.config.settled_gain):
+            return step
+        good = [move for move in good if move is not best]
+    return None
 
 
 def _made(fit: Fit, best: Move, moves: Sequence[Move], ranking: Sequence[Trial], fixed: Collection[Place],
-          kinds: Collection[str]) -> Step | None:
-    """The step that a move is, with what was added at its best and what it makes needless taken off."""
+          kinds: Collection[str]) -> Step:
+    """The step that a move is, with what was added at its best and what it makes needless taken off. It adds nothing
+    where that is what the model holds already, in another form."""
     added = [identity(effect) for effect in best.added]
     after = bent(best.after, added, kinds)
     after = pruned(split(after, added, kinds), fixed, kinds)
     before = {(identity(effect), effect.end_s) for effect in fit.effects}
     names = {identity(effect) for effect in after.effects}
     found = tuple(effect for effect in after.effects if (identity(effect), effect.end_s) not in before)
-    if not found:
-        return None
     alone = len(found) == 1 == len(best.added)
     if alone:  # a load may have moved to the link nearest to its centre
         ranking = [replace(trial, effect=found[0]) if identity(trial.effect) == added[0] else trial
@@ -144,7 +160,8 @@ def _rivals(fit: Fit, chosen: Move, moves: Sequence[Move]) -> tuple[Rival, ...]:
         drawn = gains[generator.integers(len(gains), size=(draws, len(gains)))].sum(axis=1)
         better = min(int((drawn > 0.0).sum()), draws - 1)
         if better > 1:
-            found.append(Rival(move.added[0].kind, move.added[0].where, better / (draws - better)))
+            rival = move.added[0]
+            found.append(Rival(rival.kind, rival.where, better / (draws - better), rival))
     return tuple(found)
 
 
