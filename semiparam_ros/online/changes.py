@@ -670,12 +670,13 @@ class ChangeDetector:
 
         :param followed: what this change explains is taken off.
         """
-        counts = np.array([count for count in SINCE if count <= len(self._blocks)], dtype=int)
+        now = len(self._blocks)
+        counts = np.array([count for count in SINCE if count <= now], dtype=int)
         if 0 < self._standing < min(SINCE):
-            counts = np.array([min(self._standing, len(self._blocks))])
+            counts = np.array([min(self._standing, now)])
         if not len(counts):
             return None, False
-        starts = len(self._blocks) - counts
+        starts = now - counts
         blocks, moments = np.array([block.gram for block in self._blocks]), self._left(followed)
         power = np.array([block.own[-1].sum() for block in self._blocks]) - self._gained(followed)
         grams, sums = _since(blocks, starts), _since(moments, starts)
@@ -683,17 +684,12 @@ class ChangeDetector:
             CauseFit.of(cause, grams[:, cause.part, cause.part], sums[:, cause.part])
             for cause in self.causes
         ]
-        learns = self._learning(grams, sums)
-        now, noise = len(self._blocks), np.full(len(starts), self.noise)
+        unchanged = self._learning(grams, sums)
         brief = np.maximum(starts, now - LASTING)  # what began before is no contact, if it acts yet
-        explained = np.max([fit.explained for fit in (learns, *fits)], axis=0)
-        if (starts < brief).any():
-            lasts = _likeliest_of(self._acting(noise, [now])[:, 0], starts, brief)
-            explained = np.maximum(explained, 2.0 * noise * lasts)
-        left = _since(power, starts) - explained
-        growth = np.maximum(left / (np.median(self._power) * counts), 1.0)
-        kappa = self.noise * STEP ** np.round(np.log(growth) / log(STEP))
-        learning = np.maximum(learns.evidence(kappa), learns.evidence(kappa, kappa[:, None]))
+        kappa = self._noise_left(_since(power, starts), (unchanged, *fits), starts, brief)
+        learning = np.maximum(
+            unchanged.evidence(kappa), unchanged.evidence(kappa, kappa[:, None])
+        )
         known = self._known(starts, power, followed) / (2.0 * kappa)
         alone = np.array([fit.evidence(kappa) - fit.cause.price for fit in fits])
         acting = self._acting(kappa, [now])
@@ -702,7 +698,8 @@ class ChangeDetector:
         late = starts + (counts + 1) // 2
         later = _since(blocks, late), _since(moments, late)
         touched = np.zeros(len(starts))
-        for ends in (np.array([now]), np.arange(1, now)):  # what is no likelier than one of these is not told
+        for ends in (np.array([now]), np.arange(1, now)):
+            # what is no likelier than one of these contacts is not told
             before = acting if len(ends) and ends[0] == now else self._acting(kappa, ends)
             touched = np.maximum(touched, _contacts(before, acting[:, 0], starts, ends))
             beside = _beside(fits, alone, np.max([learning, touched, known], axis=0), counts)
@@ -715,6 +712,21 @@ class ChangeDetector:
             if best.evidence < SURE and not learns:
                 break
         return best, bool(learns)
+
+    def _noise_left(
+        self, power: Array, fits: Sequence[CauseFit], starts: Indices, brief: Indices
+    ) -> Array:
+        """(S,) kappa of the windows since some starts, which have these squares: the usual one times
+        a power of ``STEP``, by what the best of some fits leaves, or what began before ``brief``
+        and acts yet."""
+        explained, noise = np.max([fit.explained for fit in fits], axis=0), self.noise
+        if (starts < brief).any():
+            acting = self._acting(np.full(len(starts), noise), [len(self._blocks)])
+            lasts = _likeliest_of(acting[:, 0], starts, brief)
+            explained = np.maximum(explained, 2.0 * noise * lasts)
+        usual = np.median(self._power) * (len(self._blocks) - starts)
+        growth = np.maximum((power - explained) / usual, 1.0)
+        return np.asarray(noise * STEP ** np.round(np.log(growth) / log(STEP)))
 
     def _known(self, starts: Indices, power: Array, followed: Followed | None) -> Array:
         """(S,) the squares that the best of the known effects explains of the blocks from each of
