@@ -94,8 +94,8 @@ MEASURED = {
 NAMES = {
     'load': ('payload',),
     'tool': ('payload', 'tool_exchange'),
-    'base': ('gravity_tilt',),
-    'zero': ('joint_offset',),
+    'base': ('gravity_tilt', 'base_shift'),
+    'zero': ('joint_offset', 'zero_slip'),
     'cable': ('cable_spring',),
     'unlisted': (),
     'offset': ('sensor_offset', 'effort_offset'),
