@@ -141,7 +141,7 @@ def identify(estimate: Estimate, described: Mapping[str, Array],
     price = None if estimate.table is None else _price(estimate, solution, theta)
     starts = {} if estimate.table is None else {link: time for time, link in estimate.table.starts}
     joints = [JointDynamics(joint, name, max(float(weights @ theta), 0.0),
-                            float(np.sqrt(max(weights @ covariance @ weights, 0.0))),
+                            float(np.sqrt(max(float(weights @ covariance @ weights), 0.0))),
                             columns.body.joint_unit(joint, UNITS[name]))
               for joint, name, weights in solution.dynamics]
     found = [CarriedBody(link, parameters, _std(covariance, block.start), starts.get(link))
