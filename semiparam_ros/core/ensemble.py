@@ -25,7 +25,7 @@ from semiparam_ros.core.model import ModelOptions
 from semiparam_ros.core.online_model import ModelState, OnlineModel
 from semiparam_ros.core.opinion_pool import pool_both, pool_together, pool_weights
 from semiparam_ros.core.prediction import DesiredOutputs, Observed, Prediction
-from semiparam_ros.core.types import Array, Stamps
+from semiparam_ros.core.types import Array, Indices, Stamps
 from semiparam_ros.errors import SemiparamError
 
 EVIDENCE_MEMORY = 500.0
@@ -63,8 +63,8 @@ class Ensemble:
         """(K, n) of the models, one in sum."""
         self.carried = CarryOver(n_models, n_outputs)
         self._horizons = AveragedHorizons(options.horizon, n_outputs, n_models)
-        self._marks: deque[tuple[int, list[dict[str, object]]]] = deque(maxlen=MARKS)
-        """Stamps [ns], and what each model had learnt then."""
+        self._marks: deque[tuple[int, list[dict[str, Array | Indices]]]] = deque(maxlen=MARKS)
+        """Stamps [ns], and the state of each model's recursion then."""
 
     @property
     def first(self) -> OnlineModel:
@@ -158,13 +158,13 @@ class Ensemble:
     def mark(self, stamp: int) -> None:
         """Copy what was learnt until a stamp [ns], where the last copy is old enough."""
         if not self._marks or not 0 <= stamp - self._marks[-1][0] < MARK_NS:
-            self._marks.append((stamp, [each.model.recursion.learnt() for each in self.models]))
+            self._marks.append((stamp, [each.model.recursion.state() for each in self.models]))
 
     def go_back(self) -> None:
         """Take back what was learnt since the oldest mark."""
         if self._marks:
-            for each, learnt in zip(self.models, self._marks[0][1], strict=True):
-                each.model.recursion.go_back(learnt)
+            for each, state in zip(self.models, self._marks[0][1], strict=True):
+                each.model.recursion.restore(state)
             self.clear_horizons()
 
     def follow_change(self) -> None:
@@ -258,6 +258,7 @@ class Ensemble:
 
         Raises SemiparamError when it is that of another one.
         """
+        self._marks.clear()
         for each, saved in zip(self.models, models, strict=True):
             each.restore(saved)
         if len(self.models) > 1:

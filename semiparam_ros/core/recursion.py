@@ -68,8 +68,7 @@ LARGEST_LOSS = log(1e4)
 renewed [nat]."""
 
 _LEARNT = ('theta', '_weights', '_regression', '_prior_information', '_renewed', '_discounts', '_memory')
-"""What samples change: it changes places with that of :attr:`SemiParametricRecursion.before`, and is what a model
-goes back to."""
+"""What changes places with that of :attr:`SemiParametricRecursion.before`."""
 
 
 class Prior(NamedTuple):
@@ -205,16 +204,6 @@ class SemiParametricRecursion:
         self._compared = np.zeros(3)
         self.revise()
         return True
-
-    def learnt(self) -> dict[str, object]:
-        """Copies of what samples have changed; :meth:`go_back` takes them."""
-        return {name: deepcopy(getattr(self, name)) for name in _LEARNT}
-
-    def go_back(self, learnt: Mapping[str, object]) -> None:
-        """Go on from what was :meth:`learnt` then, which becomes this model's own."""
-        for name, value in learnt.items():
-            setattr(self, name, value)
-        self.revise()
 
     @property
     def arrays(self) -> tuple[Root, Regression]:

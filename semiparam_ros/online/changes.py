@@ -50,7 +50,7 @@ by ``SURE`` nat, than until now.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from itertools import pairwise
 from math import log
 from typing import NamedTuple
@@ -698,9 +698,9 @@ class ChangeDetector:
         late = starts + (counts + 1) // 2
         later = _since(blocks, late), _since(moments, late)
         touched = np.zeros(len(starts))
-        for ends in (np.array([now]), np.arange(1, now)):
+        for ends in ([now], range(1, now)):
             # what is no likelier than one of these contacts is not told
-            before = acting if len(ends) and ends[0] == now else self._acting(kappa, ends)
+            before = acting if now in ends else self._acting(kappa, ends)
             touched = np.maximum(touched, _contacts(before, acting[:, 0], starts, ends))
             beside = _beside(fits, alone, np.max([learning, touched, known], axis=0), counts)
             judged = [
@@ -767,7 +767,7 @@ class ChangeDetector:
             LEARNING, root.T @ grams[:, part[:, None], part] @ root, sums[:, part] @ root
         )
 
-    def _acting(self, kappa: Array, ends: Indices | list[int]) -> Array:
+    def _acting(self, kappa: Array, ends: Sequence[int]) -> Array:
         """(B, E, S) log evidence over none of what acts at the hand, or on each output, since each
         of the blocks and until some, under noise kappa (S,)."""
         kappa, which = np.unique(kappa, return_inverse=True)
@@ -868,7 +868,7 @@ class ChangeDetector:
         return change
 
 
-def _contacts(before: Array, acting: Array, starts: Indices, ends: Indices) -> Array:
+def _contacts(before: Array, acting: Array, starts: Indices, ends: Iterable[int]) -> Array:
     """(S,) log evidence over none of the likeliest contact that began at any block since each of
     some starts, was over at one of some, and lasted as long as one may; and of one after a break.
 

@@ -29,7 +29,7 @@ from semiparam_ros.online.change_watch import QUIET, ChangeRecord, ChangeWatch
 from semiparam_ros.online.compensation import Compensation, bodies_and_bias
 from semiparam_ros.online.contact_gate import ContactGate, standardised_innovation
 from semiparam_ros.online.history import History, SampleBatch
-from semiparam_ros.online.learning import Learning, learning_of, observe
+from semiparam_ros.online.learning import APPLY, OFF, Learning, learning_of, observe
 from semiparam_ros.online.model_switcher import (
     MODEL_PARAMETERS,
     ModelSwitcher,
@@ -42,8 +42,6 @@ from semiparam_ros.online.tare import Tare
 from semiparam_ros.online.worker import Background
 from semiparam_ros.settings.snapshot import Settings
 
-OFF, APPLY = 'off', 'apply'
-"""Of ``diagnosis.auto``."""
 FAILURES_AT_MOST = 3
 """So many samples in a row that the active model cannot answer, and it counts as broken."""
 

@@ -17,6 +17,10 @@ if TYPE_CHECKING:
     from semiparam_ros.online.change_watch import ChangeWatch
 
 
+OFF, APPLY = 'off', 'apply'
+"""Of ``diagnosis.auto``."""
+
+
 class Learning(IntEnum):
     """Fate of one sample; above zero where it is learnt."""
 

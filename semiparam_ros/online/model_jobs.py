@@ -14,7 +14,7 @@ from semiparam_ros.core.recursion import KEPT
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online.history import SampleBatch
-from semiparam_ros.online.learning import Learning, observe
+from semiparam_ros.online.learning import APPLY, Learning, observe
 from semiparam_ros.online.renewal import MOST_WORSE, Errors, RecentWindow, judged, later_window
 from semiparam_ros.settings.build import declared_effects, hyperparameter_values, model_options
 from semiparam_ros.settings.snapshot import Settings
@@ -98,7 +98,9 @@ def new_estimator(settings: Settings, body: RigidBody, known: Known | None = Non
     if known is not None:
         settings = settings.changed(hyperparameter_values(*known[:3]))
     options = replace(model_options(settings), others=known.others if known else ())
-    return Estimator(body, options, declared_effects(settings), origin, known.window if known else 0)
+    estimator = Estimator(body, options, declared_effects(settings), origin, known.window if known else 0)
+    estimator.marks = settings.diagnosis_auto == APPLY
+    return estimator
 
 
 def absorb(estimator: Estimator, batch: SampleBatch) -> Estimator:

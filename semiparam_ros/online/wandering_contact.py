@@ -55,8 +55,8 @@ def wandering(
     end, mean = np.empty((*shape, k, k)), np.zeros((*shape, k, 1))
     found, total = np.zeros((len(grams), *shape)), np.zeros(shape)
     for block in reversed(range(max(ends, default=0))):
-        acts = np.asarray(ends) > block
-        end[:, np.asarray(ends) == block + 1] = prior
+        acts = ends > block
+        end[:, ends == block + 1] = prior
         gram = grams[block] / kappa[..., None, None]
         moment = (moments[block] / kappa[..., None])[..., None]
         one, then = end[:, acts], mean[:, acts]

@@ -25,9 +25,7 @@ def build_estimator(settings: Table, robot_description: str | None = None, origi
     Raises SemiparamError when the URDF, a joint, the sensor frame, an effect or a hyperparameter does not fit.
     """
     body = build_rigid_body(settings, robot_description)
-    estimator = Estimator(body, model_options(settings), declared_effects(settings), origin)
-    estimator.marks = settings.diagnosis_auto == 'apply'
-    return estimator
+    return Estimator(body, model_options(settings), declared_effects(settings), origin)
 
 
 def build_rigid_body(settings: Table, robot_description: str | None = None) -> RigidBody:

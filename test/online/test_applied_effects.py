@@ -16,6 +16,7 @@ from semiparam_ros.online.changes import BLOCK_S, MotionBlock
 from semiparam_ros.online.feedforward import Feedforward
 from semiparam_ros.online.identified_parameters import Load
 from semiparam_ros.online.learning import Learning
+from semiparam_ros.online.model_jobs import build
 from support.changing_arm import LOADED_S, caught, exchanged, free, loaded, offered, pushed, turned
 
 FLOOR_S = 40.0, 70.0
@@ -161,6 +162,22 @@ def test_what_was_learnt_before_a_push_stood_out_is_taken_back():
     assert between(samples, share, 80.0, 130.0) < 1.1
     codes = pushed_at.learner.history.batch().learning
     assert (codes == Learning.TAKEN_BACK).sum() == 1
+
+
+@pytest.mark.parametrize('settings', [{}, {'variant': 'SPK-ML', 'forgetting': '0.999'}])
+def test_a_model_that_is_built_later_takes_back_what_the_one_in_force_did(settings):
+    body, samples = pushed()
+    stage = offered(body, samples[samples.time < 72.0], diagnosis_auto='apply')
+    chosen = replace(stage.learner.built, features_count=20, **settings)
+    history = stage.learner.history
+    batch = history.batch()
+    (at,) = np.flatnonzero(batch.learning == Learning.TAKEN_BACK)
+
+    def theta(count):
+        return build(chosen, body, batch.part(0, count), None, history.origin).model.theta
+
+    before = [theta(at - count) for count in range(8, 18)]
+    assert any(np.array_equal(theta(at + 1), each) for each in before), 'half a second ago or so'
 
 
 @pytest.mark.parametrize('stiffness', [20.0, 40.0])
