@@ -530,8 +530,6 @@ class ChangeWatch:
         record = self.records.get(number)
         if record is None or any(decision.what == DROPPED for decision in record.decisions):
             return False
-        if record.effect is not None and record.effect.from_outside:
-            return True  # it will be over: what pushes is no part of the robot
         return record.times_named < NAMED_TWICE or self.applied.of_change(number) is not None
 
     def _try(self, record: ChangeRecord) -> None:
