@@ -14,23 +14,22 @@ from semiparam_ros.core.types import Array, Mask
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
 from semiparam_ros.diagnosis.data.outliers import excluded, gaps, margin, untouched, working_factor
 from semiparam_ros.diagnosis.data.recordings import alone, beside_breaks, own_offsets, present, whole_groups
-from semiparam_ros.diagnosis.data.splits import block_sums, interleaved_split, ranges
+from semiparam_ros.diagnosis.data.splits import interleaved_split, ranges
 from semiparam_ros.diagnosis.evaluation import Evaluation, evaluate_here, evaluate_there
 from semiparam_ros.diagnosis.findings import Finding, declared_findings, findings, places_in
 from semiparam_ros.diagnosis.preparation import Inputs, bursts, late, prepared, require_enough, too_fast
 from semiparam_ros.diagnosis.regression import Fit
 from semiparam_ros.diagnosis.residual.contacts import Contact, contacts
-from semiparam_ros.diagnosis.residual.flexible import StandardisedInputs, explained
 from semiparam_ros.diagnosis.residual.noise import noise_floor, with_error_columns, without_error_columns
-from semiparam_ros.diagnosis.residual.structure import Structure, remaining_structure, samples_to_look_at
+from semiparam_ros.diagnosis.residual.structure import Structure, remaining_structure
 from semiparam_ros.diagnosis.search.plausibility import all_plausible
 from semiparam_ros.diagnosis.search.refit import calibrated, fitted_to_all
-from semiparam_ros.diagnosis.search.score import summed
 from semiparam_ros.diagnosis.search.scoring import Progress
 from semiparam_ros.diagnosis.search.stepwise import Step, search, starting_fit
 from semiparam_ros.diagnosis.setup.checks import NO_MATCH, SetupProblem, setup_problems
 from semiparam_ros.diagnosis.setup.identifiability import unidentifiable
 from semiparam_ros.diagnosis.uncertainty import Estimates, estimates
+from semiparam_ros.diagnosis.unlisted import function_explains_more, holding
 from semiparam_ros.effects import Effect, kinds
 from semiparam_ros.effects.base import place
 from semiparam_ros.errors import SemiparamError
@@ -62,8 +61,8 @@ class Diagnosis:
     ``before``, ``after`` and ``by_step`` (the model after each step) judge on the samples ``held_out`` (N,) of the
     recording, or on the recording ``elsewhere``. ``everything`` is the final model fitted to all samples after that:
     what is told of the effects and declared comes from it, and the ``estimates`` are its values with their deviations;
-    where that gives an effect values that it cannot have, it is the final model itself. ``imitated``: effects were
-    found, and taken back, for a function that knows nothing of robots explains more than they all.
+    where that gives an effect values that it cannot have, it is the final model itself. ``imitated``: a function
+    that knows nothing of robots explains more than all effects that were found; those that hold beside it stay.
     """
 
     config: DiagnosisConfig
@@ -274,8 +273,8 @@ def _told(final: Fit, steps: list[Step], samples: Samples, start: _Start, judged
 
 def _searched(start: _Start, considered: dict[str, type[Effect]], suspected: list[SetupProblem], progress: Progress,
               some_kinds: bool) -> tuple[list[Step], list[SetupProblem], bool]:
-    """The steps of the search, what stays suspected of the setup, and whether effects were taken back that only imitate
-    something else; of ``some_kinds`` alone nobody asks that.
+    """The steps of the search, what stays suspected of the setup, and whether effects only imitate something else, and
+    were taken back but those that hold beside it; of ``some_kinds`` alone nobody asks that.
 
     A recording that no inertias explain need not be of another robot: somebody may have pushed this one. That shows
     in the first effect, which then explains nearly everything.
@@ -288,7 +287,7 @@ def _searched(start: _Start, considered: dict[str, type[Effect]], suspected: lis
         return [], suspected, False
     steps = _on_the_motion(steps)
     imitated = bool(steps) and not some_kinds and function_explains_more(start.first, steps[-1].after)
-    return ([] if imitated else steps), [], imitated
+    return (holding(steps, considered) if imitated else steps), [], imitated
 
 
 def _on_the_motion(steps: list[Step]) -> list[Step]:
@@ -363,21 +362,3 @@ def _changed_in_gaps(found: list[Finding], samples: Samples, config: DiagnosisCo
                     sentences.append(f'{place(effect.kind, effect.where)} {word} between {gap.start_s:.1f} and '
                                      f'{gap.start_s + gap.length_s:.1f} s, where nothing was looked at.')
     return sentences
-
-
-def function_explains_more(first: Fit, final: Fit) -> bool:
-    """Whether a smooth function of the motion and of time beside the first model predicts unseen
-    blocks better than the final model does.
-
-    A cause of no listed kind resembles several listed ones a little, and a search adds one after
-    the other. The laws of causes that are there hold on unseen blocks, and leave less than such a
-    function does.
-    """
-    config = final.config
-    rows = samples_to_look_at(final.train_mask, config)
-    if final is first or len(rows) < config.structure_least_samples:
-        return False
-    missing, left = ((fit.residual * fit.counted)[rows] / final.scale for fit in (first, final))
-    found, _ = explained(StandardisedInputs(final.body.joints, final.samples[rows], config), missing)
-    gains = summed(block_sums(left**2 - (missing - found)**2, config.blocks).sum(axis=1))
-    return gains.total > gains.error

@@ -77,10 +77,12 @@ def _verdict(diagnosis: Diagnosis) -> list[str]:
 def _opening(diagnosis: Diagnosis) -> str:
     if diagnosis.verdict == 'nothing_missing':
         return 'Nothing is missing: no effect that could be named explains the residual on blocks left out of the fit.'
-    if diagnosis.verdict == 'unexplained' and not diagnosis.findings:
-        resembled = ' A smooth function of the motion and of time explains more of it than all that resemble it.'
-        return 'Something is missing that none of the known effects explains.' + resembled * diagnosis.imitated
     if diagnosis.verdict == 'unexplained':
+        beside = ' The effects below hold beside it.' * bool(diagnosis.findings)
+        function = ' A smooth function of the motion and of time explains more of it than all that resemble it.'
+        if diagnosis.imitated or not diagnosis.findings:
+            return ('Something is missing that none of the known effects explains.'
+                    + (function + beside) * diagnosis.imitated)
         return 'Something is missing, and the effects below explain only the smaller part of it.'
     count = len(diagnosis.findings)
     return f'The model lacks {"one effect" if count == 1 else f"{count} effects"}.'

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 
 from semiparam_ros.diagnosis.regression import Fit, with_effects
 from semiparam_ros.diagnosis.search.candidates import Place, held, identity, others
 from semiparam_ros.diagnosis.search.plausibility import all_plausible, price, prices, usual
 from semiparam_ros.diagnosis.search.refit import declare, following, settled
-from semiparam_ros.diagnosis.search.score import gain, worth
+from semiparam_ros.diagnosis.search.score import Gain, gain, worth
 from semiparam_ros.diagnosis.search.scoring import coarse_trial, line_searched
 
 
@@ -81,8 +81,9 @@ def split(fit: Fit, places: Collection[Place], kinds: Collection[str]) -> Fit:
     return fit
 
 
-def pruned(fit: Fit, fixed: Collection[Place], kinds: Collection[str]) -> Fit:
-    """The model without the effects that the others make needless, the weakest first."""
+def pruned(fit: Fit, fixed: Collection[Place], kinds: Collection[str],
+           worth: Callable[[Fit], list[Gain]] = worth) -> Fit:
+    """The model without the effects that the others make needless, the weakest first; ``worth`` is that of each."""
     while True:
         weak = []
         for number, (effect, each) in enumerate(zip(fit.effects, worth(fit), strict=True)):

@@ -179,11 +179,16 @@ def _views(fit: Fit) -> list[Indices]:
 
 
 def repetition(fit: Fit) -> Array:
-    """(n,) how many samples of each channel count as one: those over which the model's residual stays alike, and more
-    of them the more samples there are. No model of a robot is exactly true, so its evidence does not grow without limit
-    (coarsened posterior; Miller and Dunson 2019, Journal of the American Statistical Association 114)."""
-    independent = float((fit.counts / fit.correlation).sum())
-    return np.asarray(fit.correlation * (1.0 + independent / fit.config.coarseness))
+    """(n,) how many samples of each channel count as one: those over which the model's residual stays alike."""
+    return coarsened(fit.correlation, fit)
+
+
+def coarsened(correlation: Array, fit: Fit) -> Array:
+    """(n,) correlation times [samples] of something that a model leaves, the longer the more samples there are. No
+    model of a robot is exactly true, so its evidence does not grow without limit (coarsened posterior; Miller and
+    Dunson 2019, Journal of the American Statistical Association 114)."""
+    independent = float((fit.counts / correlation).sum())
+    return np.asarray(correlation * (1.0 + independent / fit.config.coarseness))
 
 
 def _densities(fit: Fit, correlation: Array, gone: Indices) -> Array:
