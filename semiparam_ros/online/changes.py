@@ -777,11 +777,11 @@ class ChangeDetector:
         """(B, E, S) log evidence of a contact since each of some blocks and until others, under
         noise kappa (S,)."""
         own, scale = np.array([block.own for block in blocks]), np.square(self._felt_scale)
-        each = wandering(*edge_sums(own), scale[:, None], kappa[:, None], ends)
+        each = wandering(*edge_sums(own), scale[:, None], kappa, ends)
         each = (np.logaddexp(each, 0.0) - log(2.0)).sum(axis=-1)  # each output feels it or not
         grams, moments = (np.array(sums) for sums in zip(*(b.wrench for b in blocks), strict=True))
-        at_hand = wandering(grams, moments, WRENCH**2, kappa, ends)
-        return np.asarray(np.maximum(each, at_hand).max(axis=1))
+        at_hand = wandering(grams[:, None], moments[:, None], WRENCH[None] ** 2, kappa, ends)
+        return np.asarray(np.maximum(each, at_hand[..., 0]).max(axis=1))
 
     def contact_rather(self, row: int, came: bool, since: int, shares: Array) -> bool:
         """Whether the robot is touched, or may be, rather than that a known effect ``came``, or

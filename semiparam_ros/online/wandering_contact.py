@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from semiparam_ros.core.compiled import Integers, Matrix, Part, Stack, Vector, compiled
 from semiparam_ros.core.robot.external_wrench import FORCE_N, LEVER_M
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.robot.size import reach_of, size_beyond
@@ -40,36 +41,88 @@ def edge_sums(own: Array) -> tuple[Array, Array]:
 def wandering(
     grams: Array, moments: Array, variance: Array, kappa: Array, ends: Indices
 ) -> Array:
-    """(B, D, E, ...) log evidence over none of what wanders through the blocks from each on, until
-    one of E blocks in which it is over: a random walk, its steps each of D = ``WANDERS``, by the
-    Kalman filter from the last block back.
+    """(B, D, E, S, n) log evidence over none of what wanders through the blocks from each on, until
+    one of E blocks in which it is over: a random walk, its steps each of D = ``WANDERS``.
 
-    :param grams: (B, ..., 2 k, 2 k) of blocks, for values (k,) when they begin and end.
-    :param moments: (B, ..., 2 k). :param variance: (..., k) of its prior. :param kappa: (S, ...)
-        the noise. :param ends: (E,) numbers of blocks; from there on there is no evidence of it.
+    :param grams: (B, n, 2 k, 2 k) of blocks, for values (k,) when they begin and end.
+    :param moments: (B, n, 2 k). :param variance: (n, k) of its prior. :param kappa: (S,) the noise.
+    :param ends: (E,) numbers of blocks; from there on there is no evidence of it.
     """
-    k = variance.shape[-1]
-    prior = variance[..., None] * np.eye(k)
-    step = np.square(WANDERS).reshape(-1, 1, *np.ones(kappa.ndim + 2, dtype=int)) * prior
-    shape = np.broadcast_shapes(step.shape[:-2], (len(ends), *kappa.shape), moments.shape[1:-1])
-    end, mean = np.empty((*shape, k, k)), np.zeros((*shape, k, 1))
-    found, total = np.zeros((len(grams), *shape)), np.zeros(shape)
-    for block in reversed(range(max(ends, default=0))):
-        acts = ends > block
-        end[:, ends == block + 1] = prior
-        gram = grams[block] / kappa[..., None, None]
-        moment = (moments[block] / kappa[..., None])[..., None]
-        one, then = end[:, acts], mean[:, acts]
-        begins = np.concatenate([one + step, one], axis=-1)
-        covariance = np.concatenate([begins, np.concatenate([one, one], axis=-1)], axis=-2)
-        old = np.concatenate([then, then], axis=-2)
-        whole = np.eye(2 * k) + covariance @ gram
-        solved = np.linalg.solve(
-            whole, np.concatenate([covariance, old + covariance @ moment, old], axis=-1)
-        )
-        now, before = solved[..., -2:-1], solved[..., -1:]
-        gained = moment * now + before * (moment - gram @ old)
-        total[:, acts] += 0.5 * (gained.sum(axis=(-2, -1)) - np.linalg.slogdet(whole)[1])
-        found[block] = np.where(acts.reshape(-1, *np.ones(len(shape) - 2, dtype=int)), total, 0.0)
-        mean[:, acts], end[:, acts] = now[..., :k, :], solved[..., :k, :k]
-    return found
+    count, n = moments.shape[:2]
+    found = np.zeros((n, len(WANDERS), len(ends), len(kappa), count))
+    for output in range(n):
+        for each, share in zip(found[output], WANDERS, strict=True):
+            _filter_back(
+                np.ascontiguousarray(grams[:, output]), np.ascontiguousarray(moments[:, output]),
+                1.0 / variance[output], share**-2.0, np.ascontiguousarray(kappa), ends, each,
+            )
+    return np.moveaxis(found, (0, -1), (-1, 0))
+
+
+@compiled
+def _eliminate(matrix: Matrix, factor: Matrix, right: Part) -> float:
+    """Write the Cholesky factor C of a matrix (k, k), and C^-1 right (k, c) in place of right; log|C|."""
+    logarithm = 0.0
+    for i in range(len(matrix)):
+        for j in range(i + 1):
+            left = matrix[i, j]
+            for inner in range(j):
+                left -= factor[i, inner] * factor[j, inner]
+            factor[i, j] = np.sqrt(left) if i == j else left / factor[j, j]
+        logarithm += np.log(factor[i, i])
+        for column in range(right.shape[1]):
+            for inner in range(i):
+                right[i, column] -= factor[i, inner] * right[inner, column]
+            right[i, column] /= factor[i, i]
+    return logarithm
+
+
+@compiled
+def _filter_back(
+    grams: Stack, moments: Matrix, precision: Vector, slow: float, kappa: Vector, ends: Integers,
+    found: Stack,
+) -> None:
+    """Write the evidence (E, S, B) of one walk: by the information filter from the last block back.
+
+    What the later blocks say of w_b+1 is exp(c + h'w - w'Lw / 2). With A = [[A_00, A_01], [A_10, A_11]]
+    and a of the block over kappa, and Q = V d^2, ``slow`` = d^-2, w_b+1 is integrated out:
+
+        S = L + Q^-1 + A_11 = C C',   Y = C^-1 (Q^-1 - A_10),   y = C^-1 (h + a_1)
+        L <- Q^-1 + A_00 - Y'Y,   h <- a_0 + Y'y,   c <- c + y'y / 2 + log|Q^-1| / 2 - log|C|
+    """
+    k = len(precision)
+    left, right = np.empty((k, k)), np.empty(k)
+    factor, across = np.empty((k, k)), np.empty((k, k + 1))
+    begun = 0.5 * np.log(precision).sum()
+    stepped = begun + 0.5 * k * np.log(slow)
+    for each in range(len(ends)):
+        for level in range(len(kappa)):
+            scale, constant = 1.0 / kappa[level], begun
+            left[:] = np.diag(precision)
+            right[:] = 0.0
+            for block in range(ends[each] - 1, -1, -1):
+                gram, moment = grams[block], moments[block]
+                for i in range(k):
+                    for j in range(k):
+                        left[i, j] += scale * gram[k + i, k + j]
+                        across[i, j] = -scale * gram[k + i, j]
+                    left[i, i] += slow * precision[i]
+                    across[i, i] += slow * precision[i]
+                    across[i, k] = right[i] + scale * moment[k + i]
+                constant += stepped - _eliminate(left, factor, across)
+                for i in range(k):
+                    constant += 0.5 * across[i, k] ** 2
+                    right[i] = scale * moment[i]
+                    for j in range(k):
+                        left[i, j] = scale * gram[i, j]
+                    left[i, i] += slow * precision[i]
+                for inner in range(k):
+                    for i in range(k):
+                        right[i] += across[inner, i] * across[inner, k]
+                        for j in range(k):
+                            left[i, j] -= across[inner, i] * across[inner, j]
+                across[:, 0] = right
+                total = constant - _eliminate(left, factor, across[:, :1])
+                for i in range(k):
+                    total += 0.5 * across[i, 0] ** 2
+                found[each, level, block] = total

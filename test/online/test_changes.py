@@ -157,7 +157,9 @@ def test_the_evidence_of_a_contact_is_that_of_a_random_walk():
     grams = np.array([row[:, part].T @ row[:, part] for row, part in zip(each, inside, strict=True)])
     pulled = outputs.reshape(blocks, -1)
     moments = np.array([row[:, part].T @ y for row, part, y in zip(each, inside, pulled, strict=True)])
-    found = wandering(grams, moments, variance, np.array([kappa]), np.array([blocks, 2]))
+    found = wandering(
+        grams[:, None], moments[:, None], variance[None], np.array([kappa]), np.array([blocks, 2])
+    )[..., 0]
     for column, end in enumerate((blocks, 2)):
         assert not found[end:, :, column].any()
         for begin in range(end):
