@@ -182,7 +182,7 @@ def test_a_model_that_is_built_later_takes_back_what_the_one_in_force_did(settin
     assert any(np.array_equal(theta(at + 1), each) for each in before), 'half a second ago or so'
 
 
-@pytest.mark.parametrize('stiffness', [20.0, 40.0])
+@pytest.mark.parametrize('stiffness', [20.0, pytest.param(40.0, marks=pytest.mark.long)])
 def test_what_no_effect_explains_is_learnt_and_told_no_more(monkeypatch, stiffness):
     """It was told anew every few seconds, or applied and taken back, and never learnt."""
     monkeypatch.setattr(CableSpring, 'may_come', False)
