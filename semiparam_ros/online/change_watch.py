@@ -152,8 +152,12 @@ class ChangeRecord:
 
     @property
     def effect(self) -> Effect | None:
-        """What it is, its times as stamps."""
-        return self.restored if self.named is None else self.named.effect
+        """What it is, its times as stamps; over when the change is."""
+        effect = self.restored if self.named is None else self.named.effect
+        if effect is None or effect.ends or self.change.ended is None:
+            return effect
+        end_s = self.change.ended / NANOSECONDS
+        return replace(effect, span=replace(effect.span, end_stamp_s=end_s))
 
     @property
     def retracted(self) -> bool:
@@ -648,11 +652,12 @@ class ChangeWatch:
             self._due = sorted([*self._due, (self._moved_s + seconds, number)])
 
     def _refused(self, number: int, why: str) -> None:
-        """Say once why a change has no name, and ask again when more has come."""
-        self._ask_again(number, NAMED_AFTER_S[-1])
+        """Say once why a change has no name, and ask again when more of it has come."""
         record = self.records.get(number)
         if record is None:
             return
+        if record.change.ended is None:
+            self._ask_again(number, NAMED_AFTER_S[-1])
         self.records[number] = replace(record, unnamed=why)
         if not record.unnamed and record.named is None:
             self._told(self.records[number])

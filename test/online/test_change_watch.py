@@ -229,6 +229,19 @@ def test_a_change_that_could_not_be_named_yet_is_named_later(monkeypatch):
     assert stage.changes[-1].effect.kind == 'payload'
 
 
+def test_a_load_that_was_there_too_briefly_to_be_named_is_over_for_the_next_one():
+    """It was known without its end, and the load after it, of half the mass, was no change at all."""
+    body, samples, mass = loaded((0.0, 200.0))
+    time, free_arm = samples.time, free()[1].outputs
+    there = ((time >= 70.0) & (time < 80.0)) + ((time >= 88.0) & (time < 91.0)) + 0.5 * (time >= 97.0)
+    outputs = free_arm + there[:, None] * (samples.outputs - free_arm)
+    stage = offered(body, replace(samples, outputs=outputs)[time < 107.0], diagnosis_auto='apply')
+    _, brief, last = stage.learner.changes.records.values()
+    assert brief.unnamed and brief.effect.span.end_stamp_s == brief.change.ended / 10**9
+    assert all(number != brief.change.number for _, number in stage.learner.changes._due), 'no more comes'
+    assert abs(last.named.parameters['mass'].value - 0.5 * mass) < 0.05 * mass
+
+
 def test_a_change_from_before_a_jump_of_the_clock_is_not_named_from_what_comes_after(monkeypatch):
     """Seconds of motion count, and what is due after so many would look for it in another time."""
     body, samples, _ = loaded()
