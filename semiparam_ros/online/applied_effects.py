@@ -336,8 +336,9 @@ class AppliedEffects:
 
     def _added(self, columns: Array) -> tuple[Array, Array]:
         """(m, n) k of each trial, and (n,) that of the provisional load, by columns (n, c)."""
-        added = np.array([columns[:, block] @ trial.coefficients for block, trial in self._blocks()])
-        more = np.zeros(self._body.n_outputs)
+        n = self._body.n_outputs
+        each = [columns[:, block] @ trial.coefficients for block, trial in self._blocks()]
+        added, more = np.array(each).reshape(len(each), n), np.zeros(n)
         if self.provisional is not None:
             last = self._columns.blocks[str(len(self.trials))]
             more = columns[:, last] @ self.provisional.parameters
@@ -349,7 +350,7 @@ class AppliedEffects:
 
     def _of_applied(self, added: Array) -> Array:
         acting = np.array([trial.applied for trial in self.trials], dtype=float)
-        return np.asarray(acting @ added.reshape(len(acting), self._body.n_outputs))
+        return np.asarray(acting @ added)
 
     def _keep(self, trials: Iterable[KnownEffect]) -> None:
         self.trials = list(trials)

@@ -211,8 +211,7 @@ class ChangeRecord:
         until = '' if ended is None else f', over at {ended:.2f} s'
         decided = f' It was {self.decisions[-1].sentence}.' if self.decisions else ''
         if self.retracted:
-            brief = change.ended is not None
-            why = 'it was over as soon as a contact is' if brief else 'no effect explains it'
+            why = 'it was over as soon as a contact is' if self.brief else 'no effect explains it'
             return f'the robot has not changed {since}{until}: {why}.{decided}'
         if effect is None:
             what = (
@@ -641,8 +640,6 @@ class ChangeWatch:
             self.records[number] = record
             if record.retracted:
                 self._retract(number)
-                if record.effect is None and not record.brief and self.applies:
-                    self._learn()
             self._told(record)
             self._try(record)
 
@@ -666,5 +663,9 @@ class ChangeWatch:
         self._name_no_more(number)
         self.applied.drop(number)
         followed = self._followed
-        if self.detector is not None and followed is not None and followed.change.number == number:
+        if self.detector is None or followed is None or followed.change.number != number:
+            return
+        if self.applies:
+            self._learn()
+        else:
             self.detector.reset()

@@ -163,6 +163,37 @@ def test_what_no_effect_explains_is_taken_back_and_the_robot_is_as_it_was():
     assert stage.changes[-1].change.number > record.change.number, 'it still stands out'
 
 
+def test_a_change_that_is_over_and_was_none_leaves_the_next_one_as_it_is():
+    """What is usual was learnt anew, so that a load was held no longer; and a contact it was called."""
+    body, samples, _ = loaded()
+    stage = offered(body, samples[samples.time < LOADED_S[0] + 4.0], diagnosis_auto='apply')
+    watch, record = stage.learner.changes, stage.changes[0]
+    ended = record.change.since - 10**9
+    before = record.change._replace(number=0, since=ended - 20 * 10**9, ended=ended)
+    watch.records[0] = replace(record, change=before)
+    watch._named(0, name_change(body, free()[1], [], LOADED_S[0]), None, asked=ended)
+    assert stage.changes[-1].sentence.endswith(': no effect explains it.')
+    assert watch.state == 'changed' and watch.holds
+    assert watch._followed.change.number == record.change.number
+
+
+def test_an_effect_that_is_tried_no_more_after_its_change_was_over_ends_nothing():
+    """The block of motion that had begun held its part, of an effect that there was no more."""
+    body, samples, _ = loaded()
+    until = LOADED_S[0] + 4.0
+    stage = offered(body, samples[samples.time < until], diagnosis_auto='apply')
+    watch, number = stage.learner.changes, stage.changes[0].change.number
+    there = samples[samples.time < LOADED_S[0] + 20.0]
+    watch._named(number, name_change(body, there, [], LOADED_S[0]), None)
+    watch.detector.followed = None  # as when it is over
+    rest = samples[(samples.time >= until) & (samples.time < until + 1.0)]
+    stage.offer(rest[:3])
+    watch._named(number, name_change(body, free()[1], [], LOADED_S[0]), None)
+    assert not watch.applied.trials
+    stage.offer(rest[3:])
+    assert not stage.failures
+
+
 def test_an_effect_that_is_no_more_the_name_of_a_change_is_tried_no_more():
     """It was applied to a robot of which the record said that it had not changed."""
     body, samples, _ = loaded()
