@@ -469,6 +469,7 @@ class ChangeWatch:
         """It was no change of its own, but another one that was over, or came again."""
         self.records.pop(number, None)
         self._name_no_more(number)
+        self.applied.drop(number)
 
     def _name_no_more(self, number: int) -> None:
         self._due = [(when, other) for when, other in self._due if other != number]

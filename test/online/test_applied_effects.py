@@ -106,6 +106,22 @@ def test_a_load_that_comes_again_is_known_at_once(carried):
     assert rather(0, True, since, np.zeros(1)) == rather(0, True, since, np.zeros(6))
 
 
+def test_what_was_tried_for_a_change_goes_when_that_was_a_load_that_came_again():
+    """It kept the number that the load got: "dropped, as nothing spoke for it", of a load that is applied."""
+    body, samples, _ = loaded()
+    stage = offered(body, samples[samples.time < LOADED_S[0] + 4.0], diagnosis_auto='apply')
+    watch, theta = stage.learner.changes, np.array([0.2, *np.zeros(9)])
+    applied, now = watch.applied, int(samples.stamps[0])
+    for number in (9, watch._followed.change.number):
+        assert applied.offer(number, effect_from_text('payload@r_gripper'), theta, theta, now)
+    known = applied.trials[0]
+    for seconds in (0, 20):  # applied, and taken back
+        applied.switch(known, now + seconds * 10**9)
+    watch._switch(watch.detector, known, int(samples.stamps[-1]))
+    assert [trial.number for trial in applied.trials] == [watch.latest.change.number]
+    assert applied.of_change(watch.latest.change.number) is known and known.applied
+
+
 @pytest.mark.parametrize(
     ('changed', 'kind'),
     [(caught, 'cable_spring'), (exchanged, 'tool_exchange'), (turned, 'base_shift')],
