@@ -143,9 +143,10 @@ class AppliedEffects:
 
     def reset(self) -> None:
         """Forget what effects remember and what speaks for a switch, as after a jump of the clock;
-        what is applied stays."""
+        what is applied stays, and is taken off all samples from now on."""
         self._memory = None
         self.assume(None)
+        self.contributions = [Contribution(each.effect, each.coefficients) for each in self.applied]
         for trial in self.trials:
             trial.score, trial.begun = 0.0, 0
 

@@ -128,6 +128,7 @@ class Learner:
             self._renewal.restore(renewal)
             self.switcher.renewed = self._renewal.done
         self.gate.forget()
+        self.changes.reset()
         self.changes.forget()
         self.estimator, self.built = estimator, settings
         self.history = History(settings.initial_samples, settings.retained_samples, self.body.n_joints,
@@ -410,7 +411,6 @@ class Learner:
         """Forget everything learnt."""
         self.tare = Tare(self.body.n_outputs)
         self.changes.applied.clear()
-        self.changes.reset()
         self._begin(self.settings, model_jobs.new_estimator(self.settings, self.body, origin=self.history.origin))
 
     def restore(self, saved: SavedState) -> None:

@@ -374,6 +374,23 @@ def test_desired_states_and_the_samples_as_measured_hold_what_is_applied():
     np.testing.assert_allclose(bias, np.arange(6.0))
 
 
+def test_after_a_jump_of_the_clock_samples_as_measured_hold_what_is_applied_and_nothing_of_before():
+    """A recording that is played again had the load of the first time, and one that began earlier none."""
+    body, samples = free()
+    effect = effect_from_text('sensor_offset{"start_s": 1.0}')
+    for taken_back, hours in ((False, 1), (True, 0)):
+        applied = AppliedEffects(body)
+        applied.offer(1, effect, np.arange(6.0), np.ones(6), 0)
+        applied.switch(applied.trials[0], int(samples.stamps[0]))
+        if taken_back:
+            applied.switch(applied.trials[0], int(samples.stamps[1000]))
+        applied.reset()
+        late = replace(samples[:40], stamps=samples.stamps[:40] - round(hours * 3600e9))
+        off = Samples.from_list([applied.taken_off(sample)[0] for sample in late])
+        again = as_measured(body, off, applied.contributions)
+        np.testing.assert_allclose(again.outputs, late.outputs, rtol=0.0, atol=1e-9)
+
+
 def test_a_load_without_a_name_is_taken_off_and_is_not_saved():
     body, samples = free()
     link = last_link(body)

@@ -292,6 +292,19 @@ def test_a_change_from_before_a_jump_of_the_clock_is_not_named_from_what_comes_a
     assert not stage.learner.changes.records[number].unnamed
 
 
+def test_a_change_from_before_a_state_was_loaded_is_not_named_from_what_comes_after():
+    """A load that was named was then: "the robot has not changed: no effect explains it"."""
+    body, samples, _ = loaded()
+    stage = offered(body, samples[samples.time < 60.0])
+    saved = stage.learner.state()
+    stage.offer(samples[(samples.time >= 60.0) & (samples.time < LOADED_S[0] + 7.0)])
+    watch, record = stage.learner.changes, stage.changes[-1]
+    assert record.effect.kind == 'payload' and watch._due
+    stage.learner.restore(saved)
+    assert not watch._due
+    assert watch._past == record.change.number, 'nor does it stand beside those that come'
+
+
 @pytest.mark.parametrize('again', ['clear_pending', 'reset'])
 def test_a_load_has_its_name_also_when_the_recording_is_played_again(again):
     """That of the first time stood beside the model, so that no other one was needed."""
