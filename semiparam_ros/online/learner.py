@@ -186,10 +186,10 @@ class Learner:
 
     def _look_for_changes(self, prediction: Prediction) -> None:
         """Whatever goes wrong there, the sample is learnt."""
+        self.changes.applies = self.estimator.marks = self.settings.diagnosis_auto == APPLY
         if self.settings.diagnosis_auto == OFF:
             self.changes.forget()
             return
-        self.changes.applies = self.estimator.marks = self.settings.diagnosis_auto == APPLY
         try:
             self.changes.see(self.estimator, prediction, self.history)
         except Exception as error:

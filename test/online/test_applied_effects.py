@@ -182,7 +182,21 @@ def test_what_was_learnt_before_a_push_stood_out_is_taken_back():
     assert (codes == Learning.TAKEN_BACK).sum() == 1
 
 
-@pytest.mark.parametrize('settings', [{}, {'variant': 'SPK-ML', 'forgetting': '0.999'}])
+@pytest.mark.parametrize('auto', ['report', 'off'])
+def test_what_was_kept_to_take_back_is_none_of_minutes_ago(auto):
+    """Who let it be applied again, as a change was told, lost all that was learnt since it was last."""
+    body, samples = free()
+    stage = offered(body, samples[samples.time < 20.0], diagnosis_auto='apply')
+    for chosen, start, end in ((auto, 20.0, 40.0), ('apply', 40.0, 40.2)):
+        stage.learner.change(replace(stage.learner.settings, diagnosis_auto=chosen))
+        stage.offer(samples[(samples.time >= start) & (samples.time < end)])
+    kept = [(stamp - samples.origin) * 1e-9 for stamp, _ in stage.learner.estimator.ensemble._marks]
+    assert kept == [pytest.approx(40.0)]
+
+
+@pytest.mark.parametrize(
+    'settings', [{}, {'diagnosis_auto': 'report'}, {'variant': 'SPK-ML', 'forgetting': '0.999'}]
+)
 def test_a_model_that_is_built_later_takes_back_what_the_one_in_force_did(settings):
     body, samples = pushed()
     stage = offered(body, samples[samples.time < 72.0], diagnosis_auto='apply')
