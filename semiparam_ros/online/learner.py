@@ -164,12 +164,14 @@ class Learner:
         if prediction is None:
             self.lost += 1
             return
+        changes = self.gate.changes
         contact = self.gate.judge(prediction, self.settings, self._renewal.unsettled)
-        if self.gate.changed:
+        if self.gate.changes > changes:
             self._listener.announce(
                 f'the contact gate opens after {self.settings.gate_timeout:g} s: what lasts so long is '
                 'a change of the robot, and is learnt.')
         learning = learning_of(prediction, self.settings.learning and not contact, self.gate, self.changes)
+        self.gate.changed &= learning in (Learning.NO_NEWS, Learning.NO)
         self.changes.begins_to_hold &= learning != Learning.TAKEN_BACK
         answer = Answer(self._as_measured(prediction, of_tools, of_changes), sample.outputs - prediction.mean,
                         standardised_innovation(prediction), learning, contact, self.gate.level, *self.gate.places(),
