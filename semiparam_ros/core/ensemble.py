@@ -155,9 +155,14 @@ class Ensemble:
             self.clear_horizons()
         return returns
 
-    def mark(self, stamp: int) -> None:
-        """Copy what was learnt until a stamp [ns], where the last copy is old enough."""
-        if not self._marks or not 0 <= stamp - self._marks[-1][0] < MARK_NS:
+    def mark(self, stamp: int, keep: bool) -> None:
+        """Copy what was learnt until a stamp [ns], where the last copy is old enough.
+
+        :param keep: False: forget the copies, which no longer are from half a second ago.
+        """
+        if not keep:
+            self._marks.clear()
+        elif not self._marks or not 0 <= stamp - self._marks[-1][0] < MARK_NS:
             self._marks.append((stamp, [each.model.recursion.state() for each in self.models]))
 
     def go_back(self) -> None:

@@ -209,8 +209,7 @@ class Estimator:
             self.kept.add(sample)
             if self.ready and prediction.motion.is_news:
                 self.ensemble.charge_left_out(prediction)
-            if self.marks:
-                self.ensemble.mark(sample.stamp)
+            self.ensemble.mark(sample.stamp, self.marks)
         self.returns += self.ensemble.compare(prediction)
         if learn and not self.ready and not self.window.full:
             self.window.append(sample, prediction.columns)

@@ -211,6 +211,8 @@ def from_estimator(estimator: Estimator, samples: Samples | None, name: str) -> 
     if model.variant.pi != 'learnt':
         raise SemiparamError(f'{name} learns no inertial parameters: its variant is '
                              f'{estimator.options.variant}; expected P, SPK-ML or auto.')
+    if not len(estimator.inputs_learnt):
+        raise SemiparamError(f'{name} has learnt no sample yet: its hyperparameters were given.')
     columns, root = estimator.columns, model.recursion.theta_root()
     table = None
     if samples is not None and len(samples):

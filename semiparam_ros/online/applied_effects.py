@@ -143,9 +143,10 @@ class AppliedEffects:
 
     def reset(self) -> None:
         """Forget what effects remember and what speaks for a switch, as after a jump of the clock;
-        what is applied stays."""
+        what is applied stays, and is taken off all samples from now on."""
         self._memory = None
         self.assume(None)
+        self.contributions = [Contribution(each.effect, each.coefficients) for each in self.applied]
         for trial in self.trials:
             trial.score, trial.begun = 0.0, 0
 
@@ -336,8 +337,9 @@ class AppliedEffects:
 
     def _added(self, columns: Array) -> tuple[Array, Array]:
         """(m, n) k of each trial, and (n,) that of the provisional load, by columns (n, c)."""
-        added = np.array([columns[:, block] @ trial.coefficients for block, trial in self._blocks()])
-        more = np.zeros(self._body.n_outputs)
+        n = self._body.n_outputs
+        each = [columns[:, block] @ trial.coefficients for block, trial in self._blocks()]
+        added, more = np.array(each).reshape(len(each), n), np.zeros(n)
         if self.provisional is not None:
             last = self._columns.blocks[str(len(self.trials))]
             more = columns[:, last] @ self.provisional.parameters
@@ -349,7 +351,7 @@ class AppliedEffects:
 
     def _of_applied(self, added: Array) -> Array:
         acting = np.array([trial.applied for trial in self.trials], dtype=float)
-        return np.asarray(acting @ added.reshape(len(acting), self._body.n_outputs))
+        return np.asarray(acting @ added)
 
     def _keep(self, trials: Iterable[KnownEffect]) -> None:
         self.trials = list(trials)

@@ -152,8 +152,12 @@ class ChangeRecord:
 
     @property
     def effect(self) -> Effect | None:
-        """What it is, its times as stamps."""
-        return self.restored if self.named is None else self.named.effect
+        """What it is, its times as stamps; over when the change is."""
+        effect = self.restored if self.named is None else self.named.effect
+        if effect is None or effect.ends or self.change.ended is None:
+            return effect
+        end_s = self.change.ended / NANOSECONDS
+        return replace(effect, span=replace(effect.span, end_stamp_s=end_s))
 
     @property
     def retracted(self) -> bool:
@@ -207,8 +211,7 @@ class ChangeRecord:
         until = '' if ended is None else f', over at {ended:.2f} s'
         decided = f' It was {self.decisions[-1].sentence}.' if self.decisions else ''
         if self.retracted:
-            brief = change.ended is not None
-            why = 'it was over as soon as a contact is' if brief else 'no effect explains it'
+            why = 'it was over as soon as a contact is' if self.brief else 'no effect explains it'
             return f'the robot has not changed {since}{until}: {why}.{decided}'
         if effect is None:
             what = (
@@ -466,6 +469,7 @@ class ChangeWatch:
         """It was no change of its own, but another one that was over, or came again."""
         self.records.pop(number, None)
         self._name_no_more(number)
+        self.applied.drop(number)
 
     def _name_no_more(self, number: int) -> None:
         self._due = [(when, other) for when, other in self._due if other != number]
@@ -637,8 +641,6 @@ class ChangeWatch:
             self.records[number] = record
             if record.retracted:
                 self._retract(number)
-                if record.effect is None and not record.brief and self.applies:
-                    self._learn()
             self._told(record)
             self._try(record)
 
@@ -648,11 +650,12 @@ class ChangeWatch:
             self._due = sorted([*self._due, (self._moved_s + seconds, number)])
 
     def _refused(self, number: int, why: str) -> None:
-        """Say once why a change has no name, and ask again when more has come."""
-        self._ask_again(number, NAMED_AFTER_S[-1])
+        """Say once why a change has no name, and ask again when more of it has come."""
         record = self.records.get(number)
         if record is None:
             return
+        if record.change.ended is None:
+            self._ask_again(number, NAMED_AFTER_S[-1])
         self.records[number] = replace(record, unnamed=why)
         if not record.unnamed and record.named is None:
             self._told(self.records[number])
@@ -661,5 +664,9 @@ class ChangeWatch:
         self._name_no_more(number)
         self.applied.drop(number)
         followed = self._followed
-        if self.detector is not None and followed is not None and followed.change.number == number:
+        if self.detector is None or followed is None or followed.change.number != number:
+            return
+        if self.applies:
+            self._learn()
+        else:
             self.detector.reset()

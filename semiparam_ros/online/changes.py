@@ -476,7 +476,7 @@ class ChangeDetector:
             time * pulls,
             left * left,
         )
-        if added is not None and len(added):
+        if added is not None:
             known = added * weight
             if len(self._added) != len(known):
                 self._added = np.zeros((len(known), 2, len(left)))

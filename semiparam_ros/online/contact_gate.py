@@ -299,8 +299,6 @@ class ContactGate:
         self.closed = False
         self._closed_since = self._closed_at = 0
         self.refused = self.contacts = self.changes = 0
-        self.changed = False
-        """Whether the last sample judged is the first after a change that lasted."""
         self.level: Array = np.zeros(n_outputs)
         """(n,) innovations over their thresholds, of the last sample; 0 where nothing is known to
         judge it by."""
@@ -324,6 +322,8 @@ class ContactGate:
         self._mean: Array = np.zeros(self._n_outputs)
         self._closures: tuple[int, ...] = ()
         self._closed_ratio: Array = np.zeros(self._n_outputs)
+        self.changed = False
+        """Whether there was a change that lasted, of which nothing is learnt yet."""
         self.reset()
 
     def reset(self) -> None:
@@ -355,7 +355,6 @@ class ContactGate:
         return self._free[0] / self._free[1]
 
     def _judge(self, prediction: Prediction, settings: Table, unseen: bool) -> bool:
-        self.changed = False
         if prediction.off or not settings.gate_enabled:
             if self._newest is not None:
                 self.reset()
@@ -479,7 +478,8 @@ class ContactGate:
 
     def state(self) -> Memory:
         """For a file; :meth:`restore` takes it back bit for bit."""
-        return {'closed': self.closed, 'counts': (self.refused, self.contacts, self.changes), 'level': self.level,
+        return {'closed': self.closed, 'changed': self.changed,
+                'counts': (self.refused, self.contacts, self.changes), 'level': self.level,
                 'closed_since': self._closed_since, 'closed_at': self._closed_at, 'calm_since': self._calm_since,
                 'newest': self._newest, 'speed': self._speed, 'mean': self._mean, 'resting': self._resting,
                 'awake': self._awake, 'familiar': self._familiar, 'within': self._within,
@@ -498,6 +498,7 @@ class ContactGate:
             raise TypeError('the state of the gate is no mapping')
         self.forget()
         self.closed, self._closed_since, self._closed_at = state['closed'], state['closed_since'], state['closed_at']
+        self.changed = state['changed']
         self.refused, self.contacts, self.changes = state['counts']
         self._calm_since, self._newest, self._speed = state['calm_since'], state['newest'], state['speed']
         self._resting, self._awake, self._closures = state['resting'], state['awake'], state['closures']

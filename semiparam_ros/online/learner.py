@@ -128,6 +128,7 @@ class Learner:
             self._renewal.restore(renewal)
             self.switcher.renewed = self._renewal.done
         self.gate.forget()
+        self.changes.reset()
         self.changes.forget()
         self.estimator, self.built = estimator, settings
         self.history = History(settings.initial_samples, settings.retained_samples, self.body.n_joints,
@@ -163,12 +164,14 @@ class Learner:
         if prediction is None:
             self.lost += 1
             return
+        changes = self.gate.changes
         contact = self.gate.judge(prediction, self.settings, self._renewal.unsettled)
-        if self.gate.changed:
+        if self.gate.changes > changes:
             self._listener.announce(
                 f'the contact gate opens after {self.settings.gate_timeout:g} s: what lasts so long is '
                 'a change of the robot, and is learnt.')
         learning = learning_of(prediction, self.settings.learning and not contact, self.gate, self.changes)
+        self.gate.changed &= learning in (Learning.NO_NEWS, Learning.NO)
         self.changes.begins_to_hold &= learning != Learning.TAKEN_BACK
         answer = Answer(self._as_measured(prediction, of_tools, of_changes), sample.outputs - prediction.mean,
                         standardised_innovation(prediction), learning, contact, self.gate.level, *self.gate.places(),
@@ -185,10 +188,10 @@ class Learner:
 
     def _look_for_changes(self, prediction: Prediction) -> None:
         """Whatever goes wrong there, the sample is learnt."""
+        self.changes.applies = self.estimator.marks = self.settings.diagnosis_auto == APPLY
         if self.settings.diagnosis_auto == OFF:
             self.changes.forget()
             return
-        self.changes.applies = self.estimator.marks = self.settings.diagnosis_auto == APPLY
         try:
             self.changes.see(self.estimator, prediction, self.history)
         except Exception as error:
@@ -410,7 +413,6 @@ class Learner:
         """Forget everything learnt."""
         self.tare = Tare(self.body.n_outputs)
         self.changes.applied.clear()
-        self.changes.reset()
         self._begin(self.settings, model_jobs.new_estimator(self.settings, self.body, origin=self.history.origin))
 
     def restore(self, saved: SavedState) -> None:

@@ -70,6 +70,7 @@ def renew(settings: Settings, body: RigidBody, batch: SampleBatch, origin: int |
         gathering.gather(sample, chosen)
     gathering.finish_window(later.draft, learn=False)
     estimator, errors = new_estimator(settings, body, known_of(gathering), origin), Errors(body.n_outputs)
+    estimator.marks |= bool((learning == Learning.TAKEN_BACK).any())
     compared = later_window(learnt, judged(later.samples))
     changed = (learning[:begin] == Learning.AFTER_CHANGE) & (np.cumsum(learnt[:begin]) > KEPT)
     since = int(np.flatnonzero(changed)[-1]) if changed.any() else 0
@@ -105,6 +106,7 @@ def new_estimator(settings: Settings, body: RigidBody, known: Known | None = Non
 
 def absorb(estimator: Estimator, batch: SampleBatch) -> Estimator:
     """Predict and learn further samples, as the node did when they came."""
+    estimator.marks |= bool((batch.learning == Learning.TAKEN_BACK).any())
     for sample, learnt in batch.pairs():
         observe(estimator, estimator.predict(sample), learnt)
     return estimator

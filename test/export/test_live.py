@@ -16,10 +16,12 @@ from semiparam_ros.core.robot.consistency import (
 )
 from semiparam_ros.core.robot.frames import load_regressor
 from semiparam_ros.core.samples import Samples
+from semiparam_ros.errors import SemiparamError
 from semiparam_ros.export.estimate import from_estimator
 from semiparam_ros.export.identified import identified_load
 from semiparam_ros.export.live import consistent_parameters
-from semiparam_ros.settings.build import build_estimator
+from semiparam_ros.online.model_jobs import known_of
+from semiparam_ros.settings.build import build_estimator, hyperparameter_values
 from support.node_helpers import BODY, SETTINGS, URDF, motion
 
 
@@ -43,6 +45,16 @@ def learnt():
         outputs = BODY.regressor(*row) @ wrong + 0.05 * rng.standard_normal(6)
         estimator.step(sample._replace(outputs=outputs))
     return from_estimator(estimator, None, 'a node')
+
+
+def test_a_model_of_given_hyperparameters_that_has_learnt_nothing_is_refused():
+    """It was an internal error once a second, of a maximum over no speeds."""
+    estimator = build_estimator(replace(SETTINGS, variant='P'))
+    for sample in motion(100):
+        estimator.step(sample)
+    given = replace(SETTINGS, variant='P').changed(hyperparameter_values(*known_of(estimator)[:3]))
+    with pytest.raises(SemiparamError, match='a node has learnt no sample yet'):
+        from_estimator(build_estimator(given), None, 'a node')
 
 
 def gap(estimate, theta):

@@ -106,6 +106,22 @@ def test_a_load_that_comes_again_is_known_at_once(carried):
     assert rather(0, True, since, np.zeros(1)) == rather(0, True, since, np.zeros(6))
 
 
+def test_what_was_tried_for_a_change_goes_when_that_was_a_load_that_came_again():
+    """It kept the number that the load got: "dropped, as nothing spoke for it", of a load that is applied."""
+    body, samples, _ = loaded()
+    stage = offered(body, samples[samples.time < LOADED_S[0] + 4.0], diagnosis_auto='apply')
+    watch, theta = stage.learner.changes, np.array([0.2, *np.zeros(9)])
+    applied, now = watch.applied, int(samples.stamps[0])
+    for number in (9, watch._followed.change.number):
+        assert applied.offer(number, effect_from_text('payload@r_gripper'), theta, theta, now)
+    known = applied.trials[0]
+    for seconds in (0, 20):  # applied, and taken back
+        applied.switch(known, now + seconds * 10**9)
+    watch._switch(watch.detector, known, int(samples.stamps[-1]))
+    assert [trial.number for trial in applied.trials] == [watch.latest.change.number]
+    assert applied.of_change(watch.latest.change.number) is known and known.applied
+
+
 @pytest.mark.parametrize(
     ('changed', 'kind'),
     [(caught, 'cable_spring'), (exchanged, 'tool_exchange'), (turned, 'base_shift')],
@@ -166,7 +182,21 @@ def test_what_was_learnt_before_a_push_stood_out_is_taken_back():
     assert (codes == Learning.TAKEN_BACK).sum() == 1
 
 
-@pytest.mark.parametrize('settings', [{}, {'variant': 'SPK-ML', 'forgetting': '0.999'}])
+@pytest.mark.parametrize('auto', ['report', 'off'])
+def test_what_was_kept_to_take_back_is_none_of_minutes_ago(auto):
+    """Who let it be applied again, as a change was told, lost all that was learnt since it was last."""
+    body, samples = free()
+    stage = offered(body, samples[samples.time < 20.0], diagnosis_auto='apply')
+    for chosen, start, end in ((auto, 20.0, 40.0), ('apply', 40.0, 40.2)):
+        stage.learner.change(replace(stage.learner.settings, diagnosis_auto=chosen))
+        stage.offer(samples[(samples.time >= start) & (samples.time < end)])
+    kept = [(stamp - samples.origin) * 1e-9 for stamp, _ in stage.learner.estimator.ensemble._marks]
+    assert kept == [pytest.approx(40.0)]
+
+
+@pytest.mark.parametrize(
+    'settings', [{}, {'diagnosis_auto': 'report'}, {'variant': 'SPK-ML', 'forgetting': '0.999'}]
+)
 def test_a_model_that_is_built_later_takes_back_what_the_one_in_force_did(settings):
     body, samples = pushed()
     stage = offered(body, samples[samples.time < 72.0], diagnosis_auto='apply')
@@ -356,6 +386,23 @@ def test_desired_states_and_the_samples_as_measured_hold_what_is_applied():
     bodies, bias = applied.bodies_and_bias()
     np.testing.assert_allclose(body.regressor(*row) @ bodies, needed, atol=1e-9)
     np.testing.assert_allclose(bias, np.arange(6.0))
+
+
+def test_after_a_jump_of_the_clock_samples_as_measured_hold_what_is_applied_and_nothing_of_before():
+    """A recording that is played again had the load of the first time, and one that began earlier none."""
+    body, samples = free()
+    effect = effect_from_text('sensor_offset{"start_s": 1.0}')
+    for taken_back, hours in ((False, 1), (True, 0)):
+        applied = AppliedEffects(body)
+        applied.offer(1, effect, np.arange(6.0), np.ones(6), 0)
+        applied.switch(applied.trials[0], int(samples.stamps[0]))
+        if taken_back:
+            applied.switch(applied.trials[0], int(samples.stamps[1000]))
+        applied.reset()
+        late = replace(samples[:40], stamps=samples.stamps[:40] - round(hours * 3600e9))
+        off = Samples.from_list([applied.taken_off(sample)[0] for sample in late])
+        again = as_measured(body, off, applied.contributions)
+        np.testing.assert_allclose(again.outputs, late.outputs, rtol=0.0, atol=1e-9)
 
 
 def test_a_load_without_a_name_is_taken_off_and_is_not_saved():

@@ -163,6 +163,37 @@ def test_what_no_effect_explains_is_taken_back_and_the_robot_is_as_it_was():
     assert stage.changes[-1].change.number > record.change.number, 'it still stands out'
 
 
+def test_a_change_that_is_over_and_was_none_leaves_the_next_one_as_it_is():
+    """What is usual was learnt anew, so that a load was held no longer; and a contact it was called."""
+    body, samples, _ = loaded()
+    stage = offered(body, samples[samples.time < LOADED_S[0] + 4.0], diagnosis_auto='apply')
+    watch, record = stage.learner.changes, stage.changes[0]
+    ended = record.change.since - 10**9
+    before = record.change._replace(number=0, since=ended - 20 * 10**9, ended=ended)
+    watch.records[0] = replace(record, change=before)
+    watch._named(0, name_change(body, free()[1], [], LOADED_S[0]), None, asked=ended)
+    assert stage.changes[-1].sentence.endswith(': no effect explains it.')
+    assert watch.state == 'changed' and watch.holds
+    assert watch._followed.change.number == record.change.number
+
+
+def test_an_effect_that_is_tried_no_more_after_its_change_was_over_ends_nothing():
+    """The block of motion that had begun held its part, of an effect that there was no more."""
+    body, samples, _ = loaded()
+    until = LOADED_S[0] + 4.0
+    stage = offered(body, samples[samples.time < until], diagnosis_auto='apply')
+    watch, number = stage.learner.changes, stage.changes[0].change.number
+    there = samples[samples.time < LOADED_S[0] + 20.0]
+    watch._named(number, name_change(body, there, [], LOADED_S[0]), None)
+    watch.detector.followed = None  # as when it is over
+    rest = samples[(samples.time >= until) & (samples.time < until + 1.0)]
+    stage.offer(rest[:3])
+    watch._named(number, name_change(body, free()[1], [], LOADED_S[0]), None)
+    assert not watch.applied.trials
+    stage.offer(rest[3:])
+    assert not stage.failures
+
+
 def test_an_effect_that_is_no_more_the_name_of_a_change_is_tried_no_more():
     """It was applied to a robot of which the record said that it had not changed."""
     body, samples, _ = loaded()
@@ -229,6 +260,19 @@ def test_a_change_that_could_not_be_named_yet_is_named_later(monkeypatch):
     assert stage.changes[-1].effect.kind == 'payload'
 
 
+def test_a_load_that_was_there_too_briefly_to_be_named_is_over_for_the_next_one():
+    """It was known without its end, and the load after it, of half the mass, was no change at all."""
+    body, samples, mass = loaded((0.0, 200.0))
+    time, free_arm = samples.time, free()[1].outputs
+    there = ((time >= 70.0) & (time < 80.0)) + ((time >= 88.0) & (time < 91.0)) + 0.5 * (time >= 97.0)
+    outputs = free_arm + there[:, None] * (samples.outputs - free_arm)
+    stage = offered(body, replace(samples, outputs=outputs)[time < 107.0], diagnosis_auto='apply')
+    _, brief, last = stage.learner.changes.records.values()
+    assert brief.unnamed and brief.effect.span.end_stamp_s == brief.change.ended / 10**9
+    assert all(number != brief.change.number for _, number in stage.learner.changes._due), 'no more comes'
+    assert abs(last.named.parameters['mass'].value - 0.5 * mass) < 0.05 * mass
+
+
 def test_a_change_from_before_a_jump_of_the_clock_is_not_named_from_what_comes_after(monkeypatch):
     """Seconds of motion count, and what is due after so many would look for it in another time."""
     body, samples, _ = loaded()
@@ -246,6 +290,19 @@ def test_a_change_from_before_a_jump_of_the_clock_is_not_named_from_what_comes_a
     stage.offer(replace(later, stamps=later.stamps - round(3600e9)))
     assert all(since < samples.stamps[0] for since in asked)
     assert not stage.learner.changes.records[number].unnamed
+
+
+def test_a_change_from_before_a_state_was_loaded_is_not_named_from_what_comes_after():
+    """A load that was named was then: "the robot has not changed: no effect explains it"."""
+    body, samples, _ = loaded()
+    stage = offered(body, samples[samples.time < 60.0])
+    saved = stage.learner.state()
+    stage.offer(samples[(samples.time >= 60.0) & (samples.time < LOADED_S[0] + 7.0)])
+    watch, record = stage.learner.changes, stage.changes[-1]
+    assert record.effect.kind == 'payload' and watch._due
+    stage.learner.restore(saved)
+    assert not watch._due
+    assert watch._past == record.change.number, 'nor does it stand beside those that come'
 
 
 @pytest.mark.parametrize('again', ['clear_pending', 'reset'])

@@ -430,6 +430,28 @@ def test_a_load_is_told_and_learnt_when_the_gate_gives_way(monkeypatch):
     np.testing.assert_allclose(stage.means, offline(samples, settings)[1], atol=1e-8)
 
 
+def test_a_load_that_is_put_on_while_the_robot_rests_is_followed_once_it_moves(monkeypatch, tmp_path):
+    """The gate gave way at rest, of which nothing is learnt: the past counted as before, and the load came slowly."""
+    monkeypatch.setattr('semiparam_ros.core.recursion.KEPT', 5.0)
+    settings = replace(SETTINGS, variant='P', gate_enabled=True, gate_timeout=1.0)
+    rests, zeros, noise = motion(301)[300], np.zeros(2), np.random.default_rng(3).standard_normal((250, 6))
+    at_rest = [rests._replace(stamp=rests.stamp + number * PERIOD_NS, velocity=zeros, acceleration=zeros,
+                              outputs=rests.outputs + 0.02 * row) for number, row in enumerate(noise)]
+    samples = [sample._replace(outputs=sample.outputs + 5.0 * (number >= 400))
+               for number, sample in enumerate([*motion(300), *at_rest, *later(motion(700), 11.0)])]
+    stage = Stage(settings, InlineBackground())
+    stage.offer(samples[:550])
+    assert stage.learner.gate.changes and not stage.learner.gate.closed
+    state_file.save(tmp_path / 's.npz', stage.learner.state())
+    stage.learner.restore(state_file.load(tmp_path / 's.npz', settings, BODY))
+    stage.offer(samples[550:])
+    learning = [answer.learning for answer in stage.answers]
+    assert learning.index(Learning.AFTER_CHANGE) == next(
+        number for number in range(550, 600) if learning[number] > 0)
+    left = [np.abs(answer.prediction.model_mean - answer.prediction.sample.outputs).max() for answer in stage.answers]
+    assert np.mean(left[1100:]) < 1.0, '2.0 N before'
+
+
 def test_tare_takes_off_the_bias_and_leaves_the_weight():
     samples = motion(400)
     drifted = samples[:200] + [sample._replace(outputs=sample.outputs + 2.0) for sample in samples[200:]]

@@ -108,11 +108,11 @@ SCRATCH = {
 
 
 LAYOUT = {
-    25: {
+    26: {
         'meta': 'applied format gate joints known memory newest origin others passed_over renewal settings version '
                 'window_left',
-        'gate': 'awake bands calm_since closed closed_at closed_ratio closed_since closures counts familiar free level '
-                'mean newest resting speed tails turns within',
+        'gate': 'awake bands calm_since changed closed closed_at closed_ratio closed_since closures counts familiar '
+                'free level mean newest resting speed tails turns within',
         'known': 'gamma rho tau sigma output_scale pi drift_share drift_memory features autocorrelation_time',
         'settings': 'effects effects_reference features.count features.frequencies features.length_scales '
                     'features.seed forgetting horizon.length initial.samples joint_friction noise outputs priors '
