@@ -119,15 +119,15 @@ def _sensor_link(body: RigidBody) -> str:
 
 
 def crisp_friction(found: Identified, remark: str) -> str:
-    """Parameters of three vectors in the order of the joints: the curves next to what was
-    identified, up to the largest velocity of each joint.
+    """Parameters of three vectors, a value for each joint in their order, 0 without friction: the
+    curves next to what was identified, up to the largest velocity of each joint.
 
     Raises SemiparamError when no friction was identified.
     """
-    rows: dict[str, dict[str, float]] = {}
+    rows: dict[str, dict[str, float]] = {joint: {} for joint in found.top_speed}
     for each in found.joints:
-        rows.setdefault(each.joint, {})[each.name] = each.value
-    if not rows:
+        rows[each.joint][each.name] = each.value
+    if not found.joints:
         raise _no_friction()
     curves = [_curve(values, found.top_speed[joint]) for joint, values in rows.items()]
     fp1, fp2 = ([float(number(curve[index])) for curve in curves] for index in (0, 1))

@@ -106,8 +106,8 @@ def test_the_heading_over_row_numbers_may_be_empty(tmp_path):
 
 
 def test_a_first_row_that_lacks_a_number_is_no_header(tmp_path):
-    bag = tmp_path / 'out.mcap'
-    assert convert(table(tmp_path, '1,2,,4\n5,6,7,8\n'), bag, '--joints', 'a,b', '--position', '1-2', '--rate', '1') == 0
+    path, bag = table(tmp_path, '1,2,,4\n5,6,7,8\n'), tmp_path / 'out.mcap'
+    assert convert(path, bag, '--joints', 'a,b', '--position', '1-2', '--rate', '1') == 0
     assert messages(bag, '/joint_states')[0].data.position == [1.0, 2.0]
 
 
