@@ -141,10 +141,10 @@ def _no_friction() -> SemiparamError:
 
 
 def _curve(values: Mapping[str, float], top_speed: float) -> Array:
-    """fp1 and fp2: half of fp1 is what the friction comes to at speed."""
+    """fp1 and fp2: half of fp1 is what the friction comes to at speed. A joint that stood still has none."""
     speed = np.linspace(0.0, top_speed, SPEEDS)[1:]
     friction = values.get('friction', 0.0) + values.get('damping', 0.0) * speed
-    if not friction.any():
+    if top_speed == 0.0 or not friction.any():
         return np.zeros(2)
 
     def logistic(velocity: Array, fp1: float, fp2: float) -> Array:

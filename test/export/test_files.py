@@ -66,6 +66,14 @@ def test_friction_of_some_joints_stands_at_their_places(estimate):
     assert f'Joints: {", ".join(ICUB_JOINTS)}' in text
 
 
+def test_a_joint_that_stood_still_has_no_friction_whatever_rounding_left(estimate):
+    """Divided by its largest velocity, 1e-17 N m of friction ended the export as an internal error."""
+    estimate.mean[estimate.columns.blocks['friction']] = [0.5, 0.0, 0.0, 0.0, 0.0, 1e-17, *[0.0] * 6]
+    still = estimate._replace(top_speed=np.array([SPEED, 0.0, SPEED, SPEED]))
+    vectors = yaml.safe_load(crisp_friction(identify(still, described_links(URDF)), ''))['friction']
+    assert vectors['fp1'][0] > 0.0 and vectors['fp1'][1] == vectors['fp2'][1] == 0.0
+
+
 def test_a_link_of_any_name_carries_a_load(estimate):
     odd, columns = URDF.replace('r_hand', 'h &lt;&quot;&amp;'), estimate.columns
     body = type(columns.body).from_urdf(odd, ICUB_JOINTS, 'effort')
