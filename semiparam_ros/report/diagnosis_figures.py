@@ -273,7 +273,7 @@ def foremost(step: Step) -> list[Trial]:
 def outputs_of(diagnosis: Diagnosis, labels: list[str]) -> Figure:
     """Held-out error of each output over its standard deviation: before, after, and the noise floor."""
     before, after, rows = diagnosis.before, diagnosis.after, np.arange(len(labels))
-    spread = np.maximum(after.outputs.std(axis=0), 1e-300)
+    spread = np.sqrt(after.variance)
     marks = curves(before.rmse / spread, after.rmse / spread, bool(diagnosis.steps))
     floor = diagnosis.noise_floor_rmse / spread
     with page_style():

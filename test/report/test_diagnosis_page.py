@@ -368,6 +368,18 @@ def test_intervals_of_independent_errors_are_those_of_the_mean(clean):
     assert np.mean(bounds[:, 1] - bounds[:, 0]) == pytest.approx(width, rel=0.15)
 
 
+def test_interval_and_floor_are_over_the_variance_of_what_counts(rubbing):
+    """As the error is: of a joint at rest half of the time they were over that of all its efforts."""
+    counted = np.ones_like(rubbing.after.counted)
+    counted[rubbing.after.outputs > np.median(rubbing.after.outputs, axis=0)] = False
+    evaluation = replace(rubbing.after, counted=counted)
+    diagnosis = replace(rubbing, before=evaluation, by_step=[evaluation] * len(rubbing.by_step))
+    for row, floor in zip(output_rows(diagnosis), relative_floor(diagnosis), strict=True):
+        over = row.rmse[1] ** 2 / row.nmse[1]
+        np.testing.assert_allclose(row.nmse_interval, np.square(row.rmse_interval) / over)
+        assert floor == pytest.approx(row.floor**2 / over)
+
+
 def test_the_noise_floor_is_relative_to_each_output(clean):
     expected = clean.noise_floor_rmse**2 / clean.after.outputs.var(axis=0)
     np.testing.assert_allclose(relative_floor(clean), expected)
