@@ -30,7 +30,7 @@ from semiparam_ros.diagnosis.setup.checks import NO_MATCH, SetupProblem, setup_p
 from semiparam_ros.diagnosis.setup.identifiability import unidentifiable
 from semiparam_ros.diagnosis.uncertainty import Estimates, estimates
 from semiparam_ros.diagnosis.unlisted import function_explains_more, holding
-from semiparam_ros.effects import Effect, kinds
+from semiparam_ros.effects import Effect, effect_to_text, kinds
 from semiparam_ros.effects.base import place
 from semiparam_ros.errors import SemiparamError
 
@@ -94,6 +94,16 @@ class Diagnosis:
     def lasts(self, effect: Effect) -> bool:
         """Whether an effect of the final model is still there: neither over, nor the offset of one recording."""
         return not effect.ends and effect not in own_offsets(self.first.body, self.recorded.samples)
+
+    @property
+    def standing(self) -> list[Effect]:
+        """The effects of the final model as who loads them should declare them.
+
+        What began late is there for him, so it has no start; what is over is left out. Two loads picked up one after
+        the other are one now.
+        """
+        lasting = [effect.without_span() for effect in self.everything.effects if self.lasts(effect)]
+        return list({effect_to_text(effect): effect for effect in lasting}.values())
 
     @property
     def declared(self) -> list[Finding]:

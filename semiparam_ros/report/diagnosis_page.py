@@ -164,7 +164,7 @@ def diagnosis_page(diagnosis: Diagnosis, variants: Mapping[str, VariantErrors], 
         formulas=_formulas(structure, diagnosis.config.declared_share) if structure else [],
         spectra=_spectra(diagnosis), candidates=_candidates(diagnosis), causes=causes(diagnosis),
         variants=variant_rows(variants), open=SHOWN_OPEN, facts=_facts(diagnosis),
-        effects=[effect_to_text(effect) for effect in diagnosis.everything.effects])
+        effects=[effect_to_text(effect) for effect in diagnosis.standing])
 
 
 def _headline(diagnosis: Diagnosis) -> dict[str, float]:

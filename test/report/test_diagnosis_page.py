@@ -147,6 +147,13 @@ def test_a_page_without_findings_shows_one_curve_alone(clean):
     assert 'To declare them' not in text
 
 
+def test_what_is_to_be_declared_is_what_the_parameter_file_declares(loaded):
+    """A load with its start in the recording: a node that was given the line took it up so many seconds late."""
+    [finding] = loaded.findings
+    assert finding.effect.start_s is not None
+    assert f"<pre>effects:\n- 'payload@{finding.effect.where}'\n</pre>" in page_of(loaded)
+
+
 def test_the_recording_that_judges_has_a_figure_of_its_own(drifting, loaded):
     assert 'on the recording that judges' in page_of(drifting)
     assert 'elsewhere.mcap' in page_of(drifting)
