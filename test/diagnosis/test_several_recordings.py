@@ -13,7 +13,7 @@ from semiparam_ros.diagnosis.data.outliers import excluded, gaps
 from semiparam_ros.diagnosis.data.recordings import beside_breaks, during, present, whole_groups
 from semiparam_ros.diagnosis.diagnose import diagnose
 from semiparam_ros.diagnosis.text_report import text_report
-from semiparam_ros.effects import effect_to_text, kinds
+from semiparam_ros.effects import effect_from_text, effect_to_text, kinds
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.experiments.scoreboard import body_of, samples_of
 from semiparam_ros.simulation.scenario import Scenario
@@ -74,6 +74,20 @@ def test_runs_of_recordings():
     load = kinds()['payload']('r_gripper')
     assert present(joined, 'ABC', during(joined, 1, load)) == ('B',)
     assert effect_to_text(during(joined, 1, load).without_span()) == 'payload@r_gripper'
+
+
+@pytest.mark.parametrize('number', [0, 1, 2])
+def test_times_of_an_effect_in_one_recording_count_from_its_beginning(number):
+    """They counted from that of the first, in which the effect then was too, and an end was not heeded."""
+    joined = Samples.joined(recorded('wrench')[1])
+    part = joined.recordings[number]
+    time = joined.time[part] - joined.time[part.start]
+    for text, wanted in (('{"start_s": 5.01}', time > 5.01), ('{"end_s": 5.01}', time < 5.01),
+                         ('{"start_s": 2.01, "end_s": 5.01}', (time > 2.01) & (time < 5.01))):
+        span = during(joined, number, effect_from_text(f'payload@r_gripper{text}')).span
+        holds = span.holds(joined.stamps, joined.origin)
+        np.testing.assert_array_equal(holds[part], wanted)
+        assert holds.sum() == wanted.sum()
 
 
 def test_the_command_takes_several_bags(tmp_path, capsys):
