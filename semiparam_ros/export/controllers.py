@@ -15,6 +15,7 @@ import json
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+import pinocchio as pin
 import yaml
 from scipy.optimize import curve_fit
 
@@ -25,7 +26,6 @@ from semiparam_ros.errors import SemiparamError
 from semiparam_ros.export.identified import CarriedBody, Identified
 from semiparam_ros.export.xml_edit import number
 
-WORLD = 'world'
 SHALLOWEST, STEEPNESS, STEEPEST = 0.2, 10.0, 1000.0
 """Product of fp2 and the largest velocity: at least, so that a straight line has a curve within a
 thousandth; at the start of the fit; at most."""
@@ -93,7 +93,8 @@ def libfranka(load: CarriedBody, remark: str) -> str:
 
 
 def gravity_filter(body: RigidBody, found: Identified, remark: str) -> str:
-    """Parameters of the filter, for everything that hangs on the sensor.
+    """Parameters of the filter, for everything that hangs on the sensor. Its world is the root of the
+    robot description, along whose z axis gravity acts: no other frame is known to be there.
 
     Raises SemiparamError unless a wrench is measured, and what hangs on the sensor is one body.
     """
@@ -102,7 +103,8 @@ def gravity_filter(body: RigidBody, found: Identified, remark: str) -> str:
              if name in observed_links(body)]
     frame = _sensor_link(body)
     tool = _as_one(body, [*links, *found.loads], frame)
-    parameters = {'world_frame': WORLD, 'sensor_frame': frame, 'tool': {
+    root = next(each.name for each in body.arm.frames if each.type == pin.FrameType.BODY)
+    parameters = {'world_frame': root, 'sensor_frame': frame, 'tool': {
         'CoG': tool.centre.tolist(), 'mass': tool.mass,
         'gravity_field': (body.sign * -GRAVITY + 0.0).tolist()}}
     document = {'sensor_filter_chain': {'filter1': {

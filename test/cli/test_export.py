@@ -99,6 +99,7 @@ def test_the_weight_on_a_sensor_is_that_of_one_body(folder, tmp_path, capsys):
     assert parameters['sensor_frame'] == 'r_upper_arm'
     # the sensor tells the action on the tool
     assert parameters['tool']['gravity_field'] == [0.0, 0.0, 9.81]
+    assert parameters['world_frame'] == 'root_link'  # a frame "world" there need not be
     described = sum(values[0] for name, values in described_links(URDF.read_text()).items()
                     if name in ('r_upper_arm', 'r_elbow_1', 'r_forearm', 'r_hand'))
     assert parameters['tool']['mass'] == pytest.approx(1.2 * described, rel=0.1)
