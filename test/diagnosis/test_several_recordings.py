@@ -1,6 +1,7 @@
 """Several recordings in one diagnosis: an offset for each, and effects in some of them."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 from functools import cache
 
 import numpy as np
@@ -12,8 +13,9 @@ from semiparam_ros.core.signals.smoothing import smoothed
 from semiparam_ros.diagnosis.data.outliers import excluded, gaps
 from semiparam_ros.diagnosis.data.recordings import beside_breaks, during, present, whole_groups
 from semiparam_ros.diagnosis.diagnose import diagnose
-from semiparam_ros.diagnosis.text_report import text_report
+from semiparam_ros.diagnosis.text_report import text_report, when
 from semiparam_ros.effects import effect_from_text, effect_to_text, kinds
+from semiparam_ros.effects.base import Span
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.experiments.scoreboard import body_of, samples_of
 from semiparam_ros.simulation.scenario import Scenario
@@ -74,6 +76,17 @@ def test_runs_of_recordings():
     load = kinds()['payload']('r_gripper')
     assert present(joined, 'ABC', during(joined, 1, load)) == ('B',)
     assert effect_to_text(during(joined, 1, load).without_span()) == 'payload@r_gripper'
+
+
+def test_only_the_first_recording_has_a_date():
+    """Another one, that was recorded before it, had the date of a minute after the end of the first."""
+    _, samples = recorded('wrench')
+    joined, load = Samples.joined(samples), kinds()['payload']('r_gripper')
+    told = SimpleNamespace(names=('late', 'early'), recordings_of=lambda effect: (),
+                           recorded=SimpleNamespace(samples=joined))
+    first, second = (replace(load, span=Span(5.0 + start_s)) for start_s in (0.0, joined.time[joined.recordings[1]][0]))
+    assert when(told, first).startswith(', since 5.0 s of late (2023-')
+    assert when(told, second) == ', since 5.0 s of early'
 
 
 @pytest.mark.parametrize('number', [0, 1, 2])
