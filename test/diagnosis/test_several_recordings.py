@@ -1,8 +1,8 @@
 """Several recordings in one diagnosis: an offset for each, and effects in some of them."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
