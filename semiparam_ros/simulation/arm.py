@@ -105,22 +105,23 @@ class Arm:
 
     @classmethod
     def from_urdf(cls, urdf: str, joints: Sequence[str], outputs: str = 'wrench', sensor_frame: str | None = None,
-                  convention: str = 'reaction') -> Arm:
+                  convention: str = 'reaction', locked: Sequence[tuple[str, float]] = ()) -> Arm:
         """Read an arm from URDF text; joints not named stay at zero.
 
         :param outputs: ``wrench`` at ``sensor_frame`` (a link or a fixed joint), or joint ``effort``.
+        :param locked: positions [rad, m] of joints that stay elsewhere.
         Raises SemiparamError for an unknown joint, frame, output or convention.
         """
         _check_choice('outputs', outputs, OUTPUTS)
         _check_choice('wrench_convention', convention, tuple(CONVENTIONS))
         edited = urdf_edit.single_turn(urdf_edit.parse(urdf))
-        urdf_edit.check_joints(edited, joints)
+        urdf_edit.check_joints(edited, [*joints, *(name for name, _ in locked)])
         if outputs == 'effort':
-            return cls(_reduced(edited, joints), tuple(joints), None, 1.0, urdf)
+            return cls(_reduced(edited, joints, locked), tuple(joints), None, 1.0, urdf)
         if not sensor_frame:
             raise SemiparamError('sensor_frame is empty; a simulated wrench needs the link or joint of the sensor.')
         sensor_joint = urdf_edit.free_sensor_joint(edited, sensor_frame)
-        model = _reduced(edited, [*joints, sensor_joint])
+        model = _reduced(edited, [*joints, sensor_joint], locked)
         arm = cls(model, tuple(joints), sensor_joint, CONVENTIONS[convention], urdf)
         if sum(model.inertias[j].mass for j in arm.distal_joints) <= 0.0:
             raise SemiparamError(f'sensor_frame {sensor_frame} carries no mass: there is no wrench to simulate.')
@@ -241,11 +242,14 @@ class Arm:
         return replace(self, model=model)
 
 
-def _reduced(robot: urdf_edit.Element, joints: Sequence[str]) -> pin.Model:
-    """The model with all but ``joints`` locked at zero."""
+def _reduced(robot: urdf_edit.Element, joints: Sequence[str], locked: Sequence[tuple[str, float]]) -> pin.Model:
+    """The model with all but ``joints`` locked, at zero unless given."""
     model = urdf_edit.build(robot)
-    locked = [model.getJointId(name) for name in list(model.names)[1:] if name not in joints]
-    return pin.buildReducedModel(model, locked, pin.neutral(model))
+    posture = pin.neutral(model)
+    for name, value in locked:
+        posture[model.joints[model.getJointId(name)].idx_q] = value
+    frozen = [model.getJointId(name) for name in list(model.names)[1:] if name not in joints]
+    return pin.buildReducedModel(model, frozen, posture)
 
 
 def _check_choice(name: str, value: str, choices: Sequence[str]) -> None:
