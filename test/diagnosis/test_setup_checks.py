@@ -509,6 +509,13 @@ def test_a_joint_that_hardly_moves_is_named():
                for note in unidentifiable(body, held))
 
 
+def test_a_joint_that_hardly_slides_is_named_in_metres():
+    body = RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, 'effort')
+    samples = smooth_motion(4, 400)
+    held = replace(samples, position=samples.position * np.array([0.01, 1.0, 1.0, 1.0]))
+    assert any(note.startswith('lift (0.0') and ' m) hardly moved' in note for note in unidentifiable(body, held))
+
+
 @pytest.mark.parametrize('count', [1, 2, 5])
 def test_the_shortest_recordings_are_answered(count):
     body, samples = simulated()

@@ -20,7 +20,7 @@ from semiparam_ros.effects import Effect, kinds
 from semiparam_ros.effects.base import Span
 from semiparam_ros.experiments.scoreboard import body_of, samples_of
 from semiparam_ros.report import diagnosis_figures as figures
-from semiparam_ros.report.diagnosis_figures import dependence, suspected_variable, suspicions
+from semiparam_ros.report.diagnosis_figures import against_unexplained, dependence, suspected_variable, suspicions
 from semiparam_ros.report.diagnosis_page import (
     causes,
     diagnosis_page,
@@ -246,6 +246,13 @@ def test_every_kind_is_drawn_against_its_own_variable(kind, outputs):
     assert np.ptp(variable.values) > 0.0
     if where in fit.body.joints and LABELS[kind].endswith('of'):
         assert where in variable.label
+
+
+def test_what_no_kind_explains_is_drawn_in_the_units_of_the_joint():
+    names = ('q_lift', 'ddq_turn')
+    structure = Structure(0.3, np.full(4, 0.3), True, variables=tuple(Dependence(name, 0.3) for name in names))
+    figure, _ = against_unexplained(state_of('effort'), structure)
+    assert [panel.get_xlabel() for panel in figure.axes] == ['position of lift [m]', 'acceleration of turn [rad/s²]']
 
 
 def test_all_listed_kinds_have_a_variable_of_their_own():

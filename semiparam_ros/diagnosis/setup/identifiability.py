@@ -24,7 +24,8 @@ def unidentifiable(body: RigidBody, samples: Samples, config: DiagnosisConfig = 
 def _still(body: RigidBody, samples: Samples, config: DiagnosisConfig) -> list[str]:
     reach = np.ptp(samples.position, axis=0)
     still = [name for name, value in zip(body.joints, reach, strict=True) if value < config.still_range]
-    slow = [f'{name} ({value:.3f} rad)' for name, value in zip(body.joints, reach, strict=True)
+    slow = [f'{name} ({value:.3f} {body.joint_unit(name, "rad")})'
+            for name, value in zip(body.joints, reach, strict=True)
             if config.still_range <= value < config.slow_range]
     notes = []
     if still:
