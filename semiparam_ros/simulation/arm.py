@@ -40,12 +40,6 @@ class Poses(NamedTuple):
         """Velocity (N, 6) of the frame, linear [m/s] before angular [rad/s]."""
         return np.asarray(np.einsum('nkj,nj->nk', self.jacobian, joint_velocity))
 
-    def shifted(self, offset: Array) -> Poses:
-        """The frame moved by ``offset`` (3,) [m] in its own axes."""
-        arm = self.rotation @ offset
-        linear = self.jacobian[:, :3] + np.cross(self.jacobian[:, 3:], arm[:, :, None], axisa=1, axisb=1, axisc=1)
-        return Poses(self.rotation, self.place + arm, np.concatenate([linear, self.jacobian[:, 3:]], axis=1))
-
 
 def poses(model: pin.Model, joint: int, placement: pin.SE3, columns: Sequence[int], position: Array) -> Poses:
     """Poses of a frame fixed to ``joint`` by ``placement``; ``columns`` places the joints in the model."""
@@ -208,17 +202,16 @@ class Arm:
         item = self.model.frames[self.frame_id(frame)]
         return poses(self.model, item.parentJoint, item.placement, self.columns, position)
 
-    def load_of_force(self, pose: Poses, force: Array, position: Array, torque: Array | None = None) -> Array:
+    def load_of_force(self, pose: Poses, force: Array, position: Array) -> Array:
         """Change of the outputs (N, n) when a force (N, 3) [N], base axes, pushes on the body at ``pose``.
 
         The arm must hold against it: efforts change by -J'f. The action of the sensor on the distal bodies changes by
         the opposite wrench, moved to the sensor (only for frames distal of the sensor).
         """
-        moment = np.zeros_like(force) if torque is None else torque
         if self.sensor_frame is None:
-            return np.asarray(-np.einsum('nkj,nk->nj', pose.jacobian, np.hstack([force, moment])))
+            return np.asarray(-np.einsum('nkj,nk->nj', pose.jacobian[:, :3], force))
         sensor = self.pose(self.sensor_frame, position)
-        about = moment + np.cross(pose.place - sensor.place, force)
+        about = np.cross(pose.place - sensor.place, force)
         local = [np.einsum('nij,ni->nj', sensor.rotation, vector) for vector in (force, about)]
         return np.asarray(-self.sign * np.hstack(local))
 
