@@ -26,7 +26,7 @@ from semiparam_ros.diagnosis.search.plausibility import all_plausible
 from semiparam_ros.diagnosis.search.refit import calibrated, fitted_to_all
 from semiparam_ros.diagnosis.search.scoring import Progress
 from semiparam_ros.diagnosis.search.stepwise import Step, search, starting_fit
-from semiparam_ros.diagnosis.setup.checks import NO_MATCH, SetupProblem, setup_problems
+from semiparam_ros.diagnosis.setup.checks import CONSTANT, NO_MATCH, SetupProblem, setup_problems
 from semiparam_ros.diagnosis.setup.identifiability import unidentifiable
 from semiparam_ros.diagnosis.uncertainty import Estimates, estimates
 from semiparam_ros.diagnosis.unlisted import function_explains_more, holding
@@ -189,8 +189,8 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
     :param touched: [s] between which the robot is known to have been touched, which is left out;
         of a single recording.
 
-    Raises SemiparamError when the recording is too short, too little of it can be used, or nothing moves in it; where
-    its clock is wrong, that may be why, and the error says so.
+    Raises SemiparamError when the recording is too short, too little of it can be used, nothing moves in it, or an
+    output never changes; where its clock is wrong, that may be why, and the error says so.
     """
     check(samples, body, config)
     samples = whole_groups(samples, working_factor(samples, config))
@@ -199,6 +199,9 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
     suspected = [problem for part in samples.recordings
                  for problem in (setup_problems(body, alone(samples, part), config) if samples.breaks
                                  else setup_problems(body, samples, config, touched))]
+    for problem in suspected:
+        if problem.what == CONSTANT:
+            raise SemiparamError(problem.sentence)
     try:
         start = _first_model(body, samples, effects, train_mask, other, config, touched)
     except SemiparamError as error:

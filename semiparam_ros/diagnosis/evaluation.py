@@ -79,9 +79,11 @@ class Evaluation:
 
     @property
     def variance(self) -> Array:
-        """(n,) variance of the outputs that count, in their units squared."""
-        return np.maximum([values[use].var() if use.any() else 0.0
-                           for values, use in zip(self.outputs.T, self.counted.T, strict=True)], 1e-300)
+        """(n,) variance of the outputs that count, in their units squared; infinite where nothing changes, so that no
+        error is a share of it."""
+        found = np.array([values[use].var() if use.any() else 0.0
+                          for values, use in zip(self.outputs.T, self.counted.T, strict=True)])
+        return np.where(found > 0.0, found, np.inf)
 
     def _mean_interval(self, values: Array) -> Array:
         """(2, ...) confidence interval of the mean of values (N, ...)."""
