@@ -191,7 +191,7 @@ def evaluate(settings: Settings, training: Sequence[LoadedBag], bags: Sequence[L
     :param changes: receives what was told of changes of the robot, by their numbers.
 
     The initial window is answered by the rigid body alone, whatever the variant, and is not counted.
-    Raises SemiparamError when the recordings are over before the initial window is.
+    Raises SemiparamError when the recordings are over before the initial window is, or none gives hyperparameters.
     """
     from semiparam_ros.core.motion import moving
     from semiparam_ros.core.robot.external_wrench import ExternalWrench
@@ -210,6 +210,9 @@ def evaluate(settings: Settings, training: Sequence[LoadedBag], bags: Sequence[L
         offline.on_answer = _writer_of(wrenches, ExternalWrench(offline.estimator.body, settings.external_wrench_frame))
     for bag in bags:
         offline.take(bag, scores, settings.learning and not frozen)
+    if not len(scores) and offline.learner.failed_windows:
+        raise SemiparamError(f'{settings.variant}: no initial window gives hyperparameters, the last one because '
+                             f'{offline.learner.failed_windows[-1]}.')
     for reason in offline.learner.failed_windows:
         options.console.print(f'{settings.variant}: an initial window gives no hyperparameters '
                               f'({reason}); another one is gathered.')
