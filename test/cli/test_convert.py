@@ -94,6 +94,16 @@ def test_columns_by_name_with_times_signs_and_efforts(tmp_path):
     assert (wrench.wrench.force.x, wrench.wrench.torque.z) == (-1.0, -6.0)
 
 
+def test_a_bag_of_a_killed_recorder_may_have_notes_beside_it(tmp_path):
+    """Without a metadata.yaml its folder was taken for one of tables, and the notes for one that is damaged."""
+    folder = tmp_path / 'killed'
+    folder.mkdir()
+    (folder / 'notes.txt').write_text('run of tuesday\n')
+    assert convert(table(tmp_path, '1 2 3 4\n'), folder / 'run_0.mcap', *TWO_JOINTS) == 0
+    assert convert(folder, tmp_path / 'out.mcap') == 0
+    assert len(messages(tmp_path / 'out.mcap', '/joint_states')) == 1
+
+
 def test_the_heading_over_row_numbers_may_be_empty(tmp_path):
     """The columns of a table with tabs were taken one too far to the left: row numbers for times."""
     bag = tmp_path / 'out.mcap'
