@@ -14,11 +14,13 @@ from semiparam_ros.errors import SemiparamError
 
 SUFFIXES = ('.npz', '.npy', '.mat')
 TABLES = ('.csv', '.txt', '.dat', '.tsv')
+OF_BAGS = ('*.mcap', '*.mcap.partial', '*.db3', 'metadata.yaml')
+"""Files that no folder of tables holds; that of a bag may hold notes."""
 
 
 def is_table_folder(path: Path) -> bool:
     """Tell whether a path is a folder of text tables rather than a bag."""
-    return path.is_dir() and not (path / 'metadata.yaml').exists() and bool(_tables(path))
+    return path.is_dir() and bool(_tables(path)) and not any(any(path.glob(pattern)) for pattern in OF_BAGS)
 
 
 def holds_arrays(path: Path) -> bool:

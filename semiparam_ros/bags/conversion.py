@@ -16,7 +16,7 @@ from semiparam_ros.core.stamps import stamp_fields
 from semiparam_ros.errors import SemiparamError, listed
 
 _JOINT_STATE, _WRENCH = layout.TYPES[layout.JOINT_STATES], layout.TYPES[layout.WRENCH]
-_TRAJECTORY = layout.TYPES[layout.JOINT_ACCELERATIONS]
+_TRAJECTORY, _TEMPERATURE = layout.TYPES[layout.JOINT_ACCELERATIONS], layout.TYPES[layout.TEMPERATURE]
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Edits:
         named = bool(self.joints) or self.stamps_from_log
         turned = self.wrench_sign != 1.0 or bool(self.wrench_frame) or self.stamps_from_log
         scaled = self.effort_sign != 1.0 or bool(self.effort_factors)
-        concerned = {_JOINT_STATE: named or scaled, _TRAJECTORY: named, _WRENCH: turned}
+        concerned = {_JOINT_STATE: named or scaled, _TRAJECTORY: named, _TEMPERATURE: named, _WRENCH: turned}
         return concerned.get(type_name, False)
 
     def apply(self, message: Message) -> object:
@@ -55,6 +55,8 @@ class Edits:
             data.effort = [factor * value for factor, value in zip(factors, data.effort, strict=False)]
         elif message.type == _TRAJECTORY:
             data.joint_names = [renamed(name, self.joints) for name in data.joint_names]
+        elif message.type == _TEMPERATURE:
+            data.header.frame_id = renamed(data.header.frame_id, self.joints)
         elif message.type == _WRENCH:
             data.header.frame_id = self.wrench_frame or data.header.frame_id
             for vector in (data.wrench.force, data.wrench.torque):

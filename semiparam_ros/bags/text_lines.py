@@ -22,8 +22,8 @@ def text_lines(path: Path, progress: Callable[[int], None] = lambda done: None) 
         with path.open('rb') as file:
             for number, raw in enumerate(file, 1):
                 read += len(raw)
-                line = raw.decode('utf-8-sig' if number == 1 else 'utf-8').strip()
-                if line and line[0] not in '#%':
+                line = raw.decode('utf-8-sig' if number == 1 else 'utf-8').rstrip()
+                if line and line.lstrip()[0] not in '#%':
                     yield number, _cells(line)
                 if number % 100 == 0:
                     progress(read)
@@ -35,5 +35,6 @@ def text_lines(path: Path, progress: Callable[[int], None] = lambda done: None) 
 
 
 def _cells(line: str) -> list[str]:
-    separator = next((mark for mark in ';,\t' if mark in line), None)
+    """Cells of a line; the first one may be empty, as over the row numbers of a table."""
+    separator = next((mark for mark in ';,\t' if mark in line.lstrip()), None)
     return [cell.strip().strip('"') for cell in line.split(separator)]

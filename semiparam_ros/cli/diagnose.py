@@ -144,21 +144,14 @@ def declared_inside(args: argparse.Namespace, samples: Samples) -> list[Effect]:
 
 
 def write_parameters(path: Path, settings: Settings, diagnosis: Diagnosis) -> None:
-    """The parameter file with every effect of the final model declared, each under what was found of it.
-
-    What began late in the recording is there for whoever loads the file, so it has no start; what ended before the last
-    of several recordings is there no longer.
-    """
+    """The parameter file with every effect of the final model that lasts declared, each under what was found of it."""
     from semiparam_ros.diagnosis.text_report import remarks
-    from semiparam_ros.effects import effect_to_text, effects_to_parameters
+    from semiparam_ros.effects import effects_to_parameters
     from semiparam_ros.settings import dump_params
 
-    standing = {effect_to_text(effect.without_span()): effect.without_span()
-                for effect in diagnosis.everything.effects  # two loads picked up one after the other are one now
-                if diagnosis.lasts(effect)}
-    effects, reference = effects_to_parameters(list(standing.values()))
+    effects, reference = effects_to_parameters(diagnosis.standing)
     dump_params(replace(settings, effects=effects, effects_reference=reference), path,
-                remarks={'effects': [remarks(diagnosis, effect) for effect in standing.values()]})
+                remarks={'effects': [remarks(diagnosis, effect) for effect in diagnosis.standing]})
 
 
 def _evaluate_variants(args: argparse.Namespace, settings: Settings, diagnosis: Diagnosis) -> dict[str, VariantErrors]:

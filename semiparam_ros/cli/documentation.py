@@ -66,6 +66,7 @@ def _spelling(action: argparse.Action) -> str:
 
 def _value(action: argparse.Action) -> str:
     name = action.metavar or ('{' + ','.join(map(str, action.choices)) + '}' if action.choices else action.dest)
+    name = ' '.join(name) if isinstance(name, tuple) else name
     many = {'+': f'{name} [{name} ...]', '*': f'[{name} ...]', '?': f'[{name}]'}
     return many.get(str(action.nargs), str(name))
 

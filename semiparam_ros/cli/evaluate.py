@@ -115,7 +115,7 @@ def run(args: argparse.Namespace) -> int:
         raise SemiparamError(f'--auto {args.auto} tells what changes for one variant; {len(variants)} are evaluated.')
     rows: list[str] | None = [] if args.external_wrench else None
     changes: dict[int, ChangeRecord] | None = None if args.auto == 'off' else {}
-    training, bags = load_bags(args.train, settings), load_bags(args.bags, settings)
+    training, bags = (load_bags(paths, settings, with_tools=True) for paths in (args.train, args.bags))
     with options.progress_bar() as progress:
         scores = {variant: evaluate(replace(settings, variant=variant), training, bags, args.frozen, progress,
                                     waits, rows, changes)
@@ -154,9 +154,13 @@ def chosen_variants(asked: Sequence[str] | None, settings: Settings) -> list[str
     return list(dict.fromkeys(names))
 
 
-def load_bags(paths: Sequence[Path], settings: Settings,
-              most: Callable[[float], int] | None = None) -> list[LoadedBag]:
-    """The samples of each recording; what had to be left out is said on standard error. ``most``: see load_samples."""
+def load_bags(paths: Sequence[Path], settings: Settings, most: Callable[[float], int] | None = None,
+              with_tools: bool = False) -> list[LoadedBag]:
+    """The samples of each recording, without what the known tools add to them; what had to be left out is said on
+    standard error.
+
+    :param most: see load_samples. :param with_tools: as recorded, for a learner, which takes tools off itself.
+    """
     from semiparam_ros.bags.loading import load_samples
 
     bags = [load_samples(path, settings, most=most) for path in paths]
@@ -166,7 +170,16 @@ def load_bags(paths: Sequence[Path], settings: Settings,
             options.console.print(f'{path}: left out {left_out}.')
         if bag.losses:
             options.console.print(bag.losses.sentence)
-    return bags
+    return bags if with_tools or not settings.tools else [_without_tools(bag, settings) for bag in bags]
+
+
+def _without_tools(bag: LoadedBag, settings: Settings) -> LoadedBag:
+    from semiparam_ros.core.robot.tools import Tools
+    from semiparam_ros.settings.build import build_rigid_body
+
+    body, samples = build_rigid_body(replace(settings, joints=bag.joints), bag.robot_description), bag.samples
+    of_tools = body.outputs_of(samples, Tools(body, settings.tools).parameters)
+    return bag._replace(samples=replace(samples, outputs=samples.outputs - of_tools))
 
 
 def evaluate(settings: Settings, training: Sequence[LoadedBag], bags: Sequence[LoadedBag], frozen: bool,
@@ -178,7 +191,7 @@ def evaluate(settings: Settings, training: Sequence[LoadedBag], bags: Sequence[L
     :param changes: receives what was told of changes of the robot, by their numbers.
 
     The initial window is answered by the rigid body alone, whatever the variant, and is not counted.
-    Raises SemiparamError when the recordings are over before the initial window is.
+    Raises SemiparamError when the recordings are over before the initial window is, or none gives hyperparameters.
     """
     from semiparam_ros.core.motion import moving
     from semiparam_ros.core.robot.external_wrench import ExternalWrench
@@ -197,6 +210,9 @@ def evaluate(settings: Settings, training: Sequence[LoadedBag], bags: Sequence[L
         offline.on_answer = _writer_of(wrenches, ExternalWrench(offline.estimator.body, settings.external_wrench_frame))
     for bag in bags:
         offline.take(bag, scores, settings.learning and not frozen)
+    if not len(scores) and offline.learner.failed_windows:
+        raise SemiparamError(f'{settings.variant}: no initial window gives hyperparameters, the last one because '
+                             f'{offline.learner.failed_windows[-1]}.')
     for reason in offline.learner.failed_windows:
         options.console.print(f'{settings.variant}: an initial window gives no hyperparameters '
                               f'({reason}); another one is gathered.')

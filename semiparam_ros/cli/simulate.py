@@ -93,15 +93,18 @@ def scenario_of(args: argparse.Namespace) -> Scenario:
     from semiparam_ros.settings.robot_description import robot_description
     from semiparam_ros.simulation import Scenario
 
-    chosen = {'outputs': args.outputs, 'joints': tuple(args.joints or ()) or None, 'sensor_frame': args.sensor_frame,
-              'convention': args.convention, 'urdf': _text(args.urdf) if args.urdf else None}
+    chosen: dict[str, Any] = {
+        'outputs': args.outputs, 'joints': tuple(args.joints or ()) or None, 'sensor_frame': args.sensor_frame,
+        'convention': args.convention, 'urdf': _text(args.urdf) if args.urdf else None}
     if args.params:
         settings = load_params(args.params)
-        described = robot_description(settings) if settings.robot_description_file and not args.urdf else None
-        given = {'outputs': settings.outputs, 'joints': tuple(settings.joints) or None,
-                 'sensor_frame': settings.sensor_frame or None, 'convention': settings.wrench_convention,
-                 'urdf': described}
-        chosen = {name: given[name] if value is None else value for name, value in chosen.items()}
+        given = settings.robot_description_file or settings.robot_description
+        described = robot_description(settings) if given and not args.urdf else None
+        of_file = {'outputs': settings.outputs, 'joints': tuple(settings.joints) or None,
+                   'sensor_frame': settings.sensor_frame or None, 'convention': settings.wrench_convention,
+                   'urdf': described}
+        chosen = {name: of_file[name] if value is None else value for name, value in chosen.items()}
+        chosen['locked'] = tuple(zip(settings.locked_joints_names, settings.locked_joints_positions, strict=True))
     return Scenario(motion=args.motion, samples=samples_of(args), rate_hz=args.rate, effects=effects_of(args),
                     seed=args.seed, robot_seed=args.robot_seed, baseline=args.baseline, noise=args.noise,
                     encoder_noise=args.encoder_noise, accelerations=not args.no_accelerations,

@@ -26,11 +26,11 @@ from semiparam_ros.diagnosis.search.plausibility import all_plausible
 from semiparam_ros.diagnosis.search.refit import calibrated, fitted_to_all
 from semiparam_ros.diagnosis.search.scoring import Progress
 from semiparam_ros.diagnosis.search.stepwise import Step, search, starting_fit
-from semiparam_ros.diagnosis.setup.checks import NO_MATCH, SetupProblem, setup_problems
+from semiparam_ros.diagnosis.setup.checks import CONSTANT, NO_MATCH, SetupProblem, setup_problems
 from semiparam_ros.diagnosis.setup.identifiability import unidentifiable
 from semiparam_ros.diagnosis.uncertainty import Estimates, estimates
 from semiparam_ros.diagnosis.unlisted import function_explains_more, holding
-from semiparam_ros.effects import Effect, kinds
+from semiparam_ros.effects import Effect, effect_to_text, kinds
 from semiparam_ros.effects.base import place
 from semiparam_ros.errors import SemiparamError
 
@@ -94,6 +94,16 @@ class Diagnosis:
     def lasts(self, effect: Effect) -> bool:
         """Whether an effect of the final model is still there: neither over, nor the offset of one recording."""
         return not effect.ends and effect not in own_offsets(self.first.body, self.recorded.samples)
+
+    @property
+    def standing(self) -> list[Effect]:
+        """The effects of the final model as who loads them should declare them.
+
+        What began late is there for him, so it has no start; what is over is left out. Two loads picked up one after
+        the other are one now.
+        """
+        lasting = [effect.without_span() for effect in self.everything.effects if self.lasts(effect)]
+        return list({effect_to_text(effect): effect for effect in lasting}.values())
 
     @property
     def declared(self) -> list[Finding]:
@@ -179,8 +189,8 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
     :param touched: [s] between which the robot is known to have been touched, which is left out;
         of a single recording.
 
-    Raises SemiparamError when the recording is too short, too little of it can be used, or nothing moves in it; where
-    its clock is wrong, that may be why, and the error says so.
+    Raises SemiparamError when the recording is too short, too little of it can be used, nothing moves in it, or an
+    output never changes; where its clock is wrong, that may be why, and the error says so.
     """
     check(samples, body, config)
     samples = whole_groups(samples, working_factor(samples, config))
@@ -189,6 +199,9 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
     suspected = [problem for part in samples.recordings
                  for problem in (setup_problems(body, alone(samples, part), config) if samples.breaks
                                  else setup_problems(body, samples, config, touched))]
+    for problem in suspected:
+        if problem.what == CONSTANT:
+            raise SemiparamError(problem.sentence)
     try:
         start = _first_model(body, samples, effects, train_mask, other, config, touched)
     except SemiparamError as error:

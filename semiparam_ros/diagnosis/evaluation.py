@@ -49,7 +49,7 @@ class Evaluation:
     @property
     def nmse(self) -> Array:
         """(n,) mean square error over the variance of the channel."""
-        return np.asarray(np.mean(self._squares, axis=0) / self._variance)
+        return np.asarray(np.mean(self._squares, axis=0) / self.variance)
 
     @property
     def eps(self) -> Array:
@@ -63,7 +63,7 @@ class Evaluation:
 
     def interval(self) -> tuple[float, float]:
         """95 % confidence interval of the mean normalised error, from a bootstrap of contiguous blocks."""
-        share = (self._squares / self._variance).mean(axis=1)
+        share = (self._squares / self.variance).mean(axis=1)
         low, high = self._mean_interval(share)
         return float(low), float(high)
 
@@ -78,10 +78,12 @@ class Evaluation:
         return np.asarray(self.residual**2 * counted)
 
     @property
-    def _variance(self) -> Array:
-        """(n,) of the outputs that count."""
-        return np.maximum([values[use].var() if use.any() else 0.0
-                           for values, use in zip(self.outputs.T, self.counted.T, strict=True)], 1e-300)
+    def variance(self) -> Array:
+        """(n,) variance of the outputs that count, in their units squared; infinite where nothing changes, so that no
+        error is a share of it."""
+        found = np.array([values[use].var() if use.any() else 0.0
+                          for values, use in zip(self.outputs.T, self.counted.T, strict=True)])
+        return np.where(found > 0.0, found, np.inf)
 
     def _mean_interval(self, values: Array) -> Array:
         """(2, ...) confidence interval of the mean of values (N, ...)."""

@@ -115,7 +115,8 @@ def when(diagnosis: Diagnosis, effect: Effect) -> str:
         number = int(np.searchsorted(breaks, time_s))
         own_s = time_s - [0.0, *breaks][number]
         of = f' of {diagnosis.names[number]}' if breaks else ''
-        parts.append(f', {word} {own_s:.1f} s{of}{at_time(samples, time_s)}')
+        date = '' if number else at_time(samples, time_s)  # later recordings may have been moved in time
+        parts.append(f', {word} {own_s:.1f} s{of}{date}')
     return ''.join(parts)
 
 

@@ -15,6 +15,7 @@ import json
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+import pinocchio as pin
 import yaml
 from scipy.optimize import curve_fit
 
@@ -25,7 +26,6 @@ from semiparam_ros.errors import SemiparamError
 from semiparam_ros.export.identified import CarriedBody, Identified
 from semiparam_ros.export.xml_edit import number
 
-WORLD = 'world'
 SHALLOWEST, STEEPNESS, STEEPEST = 0.2, 10.0, 1000.0
 """Product of fp2 and the largest velocity: at least, so that a straight line has a curve within a
 thousandth; at the start of the fit; at most."""
@@ -93,7 +93,8 @@ def libfranka(load: CarriedBody, remark: str) -> str:
 
 
 def gravity_filter(body: RigidBody, found: Identified, remark: str) -> str:
-    """Parameters of the filter, for everything that hangs on the sensor.
+    """Parameters of the filter, for everything that hangs on the sensor. Its world is the root of the
+    robot description, along whose z axis gravity acts: no other frame is known to be there.
 
     Raises SemiparamError unless a wrench is measured, and what hangs on the sensor is one body.
     """
@@ -102,7 +103,8 @@ def gravity_filter(body: RigidBody, found: Identified, remark: str) -> str:
              if name in observed_links(body)]
     frame = _sensor_link(body)
     tool = _as_one(body, [*links, *found.loads], frame)
-    parameters = {'world_frame': WORLD, 'sensor_frame': frame, 'tool': {
+    root = next(each.name for each in body.arm.frames if each.type == pin.FrameType.BODY)
+    parameters = {'world_frame': root, 'sensor_frame': frame, 'tool': {
         'CoG': tool.centre.tolist(), 'mass': tool.mass,
         'gravity_field': (body.sign * -GRAVITY + 0.0).tolist()}}
     document = {'sensor_filter_chain': {'filter1': {
@@ -119,15 +121,15 @@ def _sensor_link(body: RigidBody) -> str:
 
 
 def crisp_friction(found: Identified, remark: str) -> str:
-    """Parameters of three vectors in the order of the joints: the curves next to what was
-    identified, up to the largest velocity of each joint.
+    """Parameters of three vectors, a value for each joint in their order, 0 without friction: the
+    curves next to what was identified, up to the largest velocity of each joint.
 
     Raises SemiparamError when no friction was identified.
     """
-    rows: dict[str, dict[str, float]] = {}
+    rows: dict[str, dict[str, float]] = {joint: {} for joint in found.top_speed}
     for each in found.joints:
-        rows.setdefault(each.joint, {})[each.name] = each.value
-    if not rows:
+        rows[each.joint][each.name] = each.value
+    if not found.joints:
         raise _no_friction()
     curves = [_curve(values, found.top_speed[joint]) for joint, values in rows.items()]
     fp1, fp2 = ([float(number(curve[index])) for curve in curves] for index in (0, 1))
@@ -141,10 +143,10 @@ def _no_friction() -> SemiparamError:
 
 
 def _curve(values: Mapping[str, float], top_speed: float) -> Array:
-    """fp1 and fp2: half of fp1 is what the friction comes to at speed."""
+    """fp1 and fp2: half of fp1 is what the friction comes to at speed. A joint that stood still has none."""
     speed = np.linspace(0.0, top_speed, SPEEDS)[1:]
     friction = values.get('friction', 0.0) + values.get('damping', 0.0) * speed
-    if not friction.any():
+    if top_speed == 0.0 or not friction.any():
         return np.zeros(2)
 
     def logistic(velocity: Array, fp1: float, fp2: float) -> Array:

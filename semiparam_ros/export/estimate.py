@@ -173,6 +173,7 @@ def from_recording(body: RigidBody, effects: Sequence[Effect], samples: Samples,
     Raises SemiparamError when the recording has fewer samples in motion than the model has
     coefficients.
     """
+    effects = [effect.in_recording(samples.origin) for effect in effects]
     model = CoupledColumns(body, effects, joint_friction, physical=True)
     step = -(-len(samples) * body.n_outputs * model.n_columns // MOST_VALUES)
     moves = moving(samples)
@@ -255,10 +256,16 @@ def _table(model: CoupledColumns, samples: Samples, used: Mask,
 
 
 def _with_starts(table: SampleTable, time: Array) -> SampleTable:
-    """Set the columns of loads that have no start to zero before the samples show them."""
+    """Note when loads start; set the columns of those that do not say to zero before the samples
+    show them."""
     block: Indices = np.arange(len(time)) * BLOCKS // len(time)
     for index, effect in enumerate(table.model.effects):
-        if not (effect.is_load and isinstance(effect, Effect)) or effect.span.values:
+        if not (effect.is_load and isinstance(effect, Effect)):
+            continue
+        if effect.start_s is not None:
+            known = effect.start_s, str(effect.where)
+            table = replace(table, starts=(*table.starts, known))
+        if effect.span.values:
             continue
         best = _best_start(table, table.model.blocks[str(index)], block)
         if best == 0:

@@ -72,6 +72,8 @@ class ReplayOptions:
             checked_rate(self.rate)
         elif self.follow is None:
             raise SemiparamError('a playback as fast as it is followed needs a follower.')
+        if self.restamp and self.follow is not None:
+            raise SemiparamError('restamped messages cannot be followed: answers are told by the stamps of the bag.')
         if self.clock_hz is not None and not 0.0 < self.clock_hz < float('inf'):
             raise SemiparamError(f'the clock rate must be above 0 Hz, got {self.clock_hz:g}.')
         if self.order not in ORDERS:

@@ -18,6 +18,7 @@ from matplotlib.ticker import FuncFormatter
 from scipy.signal import welch
 
 from semiparam_ros.core.robot.frames import frame_motion
+from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.types import Array, Mask
 from semiparam_ros.diagnosis.data.splits import ranges
 from semiparam_ros.diagnosis.diagnose import Diagnosis
@@ -30,7 +31,7 @@ from semiparam_ros.diagnosis.search.stepwise import Step
 from semiparam_ros.effects import Effect
 from semiparam_ros.effects.base import ALWAYS, Axis, place
 from semiparam_ros.effects.temperature import REFERENCE_C, temperature_of
-from semiparam_ros.effects.terms import variable_values
+from semiparam_ros.effects.terms import ROLES, variable_values
 from semiparam_ros.report.html import FAINT, INK, page_style
 
 DEPENDENCE_BINS = 20
@@ -47,7 +48,7 @@ MOST_POINTS = 900
 CLOUD_DPI = 200
 BINS = 40
 MOST_VARIABLES = 2
-QUANTITIES = {'q': 'position of {} [rad]', 'dq': 'velocity of {} [rad/s]', 'ddq': 'acceleration of {} [rad/s²]'}
+QUANTITIES = {'position': 'rad', 'velocity': 'rad/s', 'acceleration': 'rad/s²'}
 
 
 class Variable(NamedTuple):
@@ -88,10 +89,8 @@ def _time(fit: Fit) -> Variable:
 
 def _joints(effect: Effect, fit: Fit, role: str) -> list[Variable]:
     """The motion of the effect's joint, or of every joint."""
-    symbol, unit = {'position': ('position', 'rad'), 'velocity': ('velocity', 'rad/s'),
-                    'acceleration': ('acceleration', 'rad/s²')}[role]
     values: Array = getattr(fit.samples, role)
-    return [Variable(f'{symbol} of {joint} [{fit.body.joint_unit(joint, unit)}]', values[:, index])
+    return [Variable(_quantity(fit.body, role, joint), values[:, index])
             for index, joint in enumerate(fit.body.joints)
             if effect.where not in fit.body.joints or joint == effect.where]
 
@@ -273,7 +272,7 @@ def foremost(step: Step) -> list[Trial]:
 def outputs_of(diagnosis: Diagnosis, labels: list[str]) -> Figure:
     """Held-out error of each output over its standard deviation: before, after, and the noise floor."""
     before, after, rows = diagnosis.before, diagnosis.after, np.arange(len(labels))
-    spread = np.maximum(after.outputs.std(axis=0), 1e-300)
+    spread = np.sqrt(after.variance)
     marks = curves(before.rmse / spread, after.rmse / spread, bool(diagnosis.steps))
     floor = diagnosis.noise_floor_rmse / spread
     with page_style():
@@ -366,7 +365,9 @@ def against_unexplained(fit: Fit, structure: Structure) -> tuple[Figure, str]:
         figure = Figure(figsize=(WIDTH, HEIGHT), dpi=CLOUD_DPI)
         panels = np.atleast_1d(figure.subplots(1, len(chosen), sharey=True))
         for panel, name in zip(panels, chosen, strict=True):
-            variable = Variable(_quantity(name), variable_values(name, fit.body, fit.samples)[train_mask])
+            role, _, joint = name.partition('_')
+            label = _quantity(fit.body, ROLES[role][0], joint) if joint else 'time [s]'
+            variable = Variable(label, variable_values(name, fit.body, fit.samples)[train_mask])
             _cloud(panel, variable, residual, AFTER)
             for label, rows, colour in _periods(time, 'time' in names and name != 'time'):
                 _course(panel, Variable(variable.label, variable.values[rows]), residual[rows], label, colour)
@@ -383,9 +384,8 @@ def _periods(time: Array, apart: bool) -> list[tuple[str, Mask, str]]:
             ('mean of the last third', time > time[-1] - third, OTHER)]
 
 
-def _quantity(name: str) -> str:
-    role, _, joint = name.partition('_')
-    return QUANTITIES[role].format(joint) if role in QUANTITIES else 'time [s]'
+def _quantity(body: RigidBody, role: str, joint: str) -> str:
+    return f'{role} of {joint} [{body.joint_unit(joint, QUANTITIES[role])}]'
 
 
 def _residual_label(fit: Fit, channel: int) -> str:

@@ -85,7 +85,7 @@ class CauseRow(NamedTuple):
 def output_rows(diagnosis: Diagnosis) -> list[OutputRow]:
     """One row for each output."""
     body, before, after = diagnosis.first.body, diagnosis.before, diagnosis.after
-    bounds, variance = after.square_intervals(), np.maximum(after.outputs.var(axis=0), 1e-300)
+    bounds, variance = after.square_intervals(), after.variance
     rows = []
     for index, (name, unit) in enumerate(zip(body.output_names, body.output_units, strict=True)):
         low, high = bounds[index]
@@ -98,7 +98,7 @@ def output_rows(diagnosis: Diagnosis) -> list[OutputRow]:
 
 def relative_floor(diagnosis: Diagnosis) -> Array:
     """Noise floor of each output, squared and over its variance, (n,)."""
-    return np.asarray(diagnosis.noise_floor_rmse**2 / np.maximum(diagnosis.after.outputs.var(axis=0), 1e-300))
+    return np.asarray(diagnosis.noise_floor_rmse**2 / diagnosis.after.variance)
 
 
 def round_rows(diagnosis: Diagnosis) -> list[RoundRow]:
@@ -164,7 +164,7 @@ def diagnosis_page(diagnosis: Diagnosis, variants: Mapping[str, VariantErrors], 
         formulas=_formulas(structure, diagnosis.config.declared_share) if structure else [],
         spectra=_spectra(diagnosis), candidates=_candidates(diagnosis), causes=causes(diagnosis),
         variants=variant_rows(variants), open=SHOWN_OPEN, facts=_facts(diagnosis),
-        effects=[effect_to_text(effect) for effect in diagnosis.everything.effects])
+        effects=[effect_to_text(effect) for effect in diagnosis.standing])
 
 
 def _headline(diagnosis: Diagnosis) -> dict[str, float]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
@@ -93,7 +94,13 @@ def read_params(path: str | Path, node: str = 'estimator') -> dict[str, object]:
 
 def dump_params(settings: Settings, path: str | Path, node: str = 'estimator',
                 remarks: Mapping[str, Sequence[Sequence[str]]] = NO_REMARKS) -> None:
-    """Write a parameter file that the node and every command load: the whole file or nothing."""
+    """Write a parameter file that the node and every command load: the whole file or nothing.
+
+    Relative paths, which count from a parameter file, name the same place from the new one.
+    """
+    description, states = (os.path.relpath(place, Path(path).parent) if _is_relative(place) else place
+                           for place in (settings.robot_description_file, settings.state_folder))
+    settings = replace(settings, robot_description_file=description, state_folder=states)
     write_text(path, params_text(settings, node, remarks))
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -76,9 +76,9 @@ def unknown_name(name: str) -> str:
     return f"there is no parameter '{name}'{hint}."
 
 
-def nearest(name: str, names: Iterable[str] = BY_NAME) -> str | None:
+def nearest(name: str) -> str | None:
     """The known name that a misspelt one most resembles, or None when none is near."""
-    plain = {known.replace('.', '_').lower(): known for known in names}
+    plain = {known.replace('.', '_').lower(): known for known in BY_NAME}
     close = difflib.get_close_matches(name.replace('.', '_').lower(), plain, n=1, cutoff=0.6)
     return plain[close[0]] if close else None
 

@@ -40,12 +40,6 @@ class Poses(NamedTuple):
         """Velocity (N, 6) of the frame, linear [m/s] before angular [rad/s]."""
         return np.asarray(np.einsum('nkj,nj->nk', self.jacobian, joint_velocity))
 
-    def shifted(self, offset: Array) -> Poses:
-        """The frame moved by ``offset`` (3,) [m] in its own axes."""
-        arm = self.rotation @ offset
-        linear = self.jacobian[:, :3] + np.cross(self.jacobian[:, 3:], arm[:, :, None], axisa=1, axisb=1, axisc=1)
-        return Poses(self.rotation, self.place + arm, np.concatenate([linear, self.jacobian[:, 3:]], axis=1))
-
 
 def poses(model: pin.Model, joint: int, placement: pin.SE3, columns: Sequence[int], position: Array) -> Poses:
     """Poses of a frame fixed to ``joint`` by ``placement``; ``columns`` places the joints in the model."""
@@ -105,22 +99,23 @@ class Arm:
 
     @classmethod
     def from_urdf(cls, urdf: str, joints: Sequence[str], outputs: str = 'wrench', sensor_frame: str | None = None,
-                  convention: str = 'reaction') -> Arm:
+                  convention: str = 'reaction', locked: Sequence[tuple[str, float]] = ()) -> Arm:
         """Read an arm from URDF text; joints not named stay at zero.
 
         :param outputs: ``wrench`` at ``sensor_frame`` (a link or a fixed joint), or joint ``effort``.
+        :param locked: positions [rad, m] of joints that stay elsewhere.
         Raises SemiparamError for an unknown joint, frame, output or convention.
         """
         _check_choice('outputs', outputs, OUTPUTS)
         _check_choice('wrench_convention', convention, tuple(CONVENTIONS))
         edited = urdf_edit.single_turn(urdf_edit.parse(urdf))
-        urdf_edit.check_joints(edited, joints)
+        urdf_edit.check_joints(edited, [*joints, *(name for name, _ in locked)])
         if outputs == 'effort':
-            return cls(_reduced(edited, joints), tuple(joints), None, 1.0, urdf)
+            return cls(_reduced(edited, joints, locked), tuple(joints), None, 1.0, urdf)
         if not sensor_frame:
             raise SemiparamError('sensor_frame is empty; a simulated wrench needs the link or joint of the sensor.')
         sensor_joint = urdf_edit.free_sensor_joint(edited, sensor_frame)
-        model = _reduced(edited, [*joints, sensor_joint])
+        model = _reduced(edited, [*joints, sensor_joint], locked)
         arm = cls(model, tuple(joints), sensor_joint, CONVENTIONS[convention], urdf)
         if sum(model.inertias[j].mass for j in arm.distal_joints) <= 0.0:
             raise SemiparamError(f'sensor_frame {sensor_frame} carries no mass: there is no wrench to simulate.')
@@ -207,17 +202,16 @@ class Arm:
         item = self.model.frames[self.frame_id(frame)]
         return poses(self.model, item.parentJoint, item.placement, self.columns, position)
 
-    def load_of_force(self, pose: Poses, force: Array, position: Array, torque: Array | None = None) -> Array:
+    def load_of_force(self, pose: Poses, force: Array, position: Array) -> Array:
         """Change of the outputs (N, n) when a force (N, 3) [N], base axes, pushes on the body at ``pose``.
 
         The arm must hold against it: efforts change by -J'f. The action of the sensor on the distal bodies changes by
         the opposite wrench, moved to the sensor (only for frames distal of the sensor).
         """
-        moment = np.zeros_like(force) if torque is None else torque
         if self.sensor_frame is None:
-            return np.asarray(-np.einsum('nkj,nk->nj', pose.jacobian, np.hstack([force, moment])))
+            return np.asarray(-np.einsum('nkj,nk->nj', pose.jacobian[:, :3], force))
         sensor = self.pose(self.sensor_frame, position)
-        about = moment + np.cross(pose.place - sensor.place, force)
+        about = np.cross(pose.place - sensor.place, force)
         local = [np.einsum('nij,ni->nj', sensor.rotation, vector) for vector in (force, about)]
         return np.asarray(-self.sign * np.hstack(local))
 
@@ -241,11 +235,14 @@ class Arm:
         return replace(self, model=model)
 
 
-def _reduced(robot: urdf_edit.Element, joints: Sequence[str]) -> pin.Model:
-    """The model with all but ``joints`` locked at zero."""
+def _reduced(robot: urdf_edit.Element, joints: Sequence[str], locked: Sequence[tuple[str, float]]) -> pin.Model:
+    """The model with all but ``joints`` locked, at zero unless given."""
     model = urdf_edit.build(robot)
-    locked = [model.getJointId(name) for name in list(model.names)[1:] if name not in joints]
-    return pin.buildReducedModel(model, locked, pin.neutral(model))
+    posture = pin.neutral(model)
+    for name, value in locked:
+        posture[model.joints[model.getJointId(name)].idx_q] = value
+    frozen = [model.getJointId(name) for name in list(model.names)[1:] if name not in joints]
+    return pin.buildReducedModel(model, frozen, posture)
 
 
 def _check_choice(name: str, value: str, choices: Sequence[str]) -> None:

@@ -29,6 +29,7 @@ class Scenario:
 
     :param urdf: URDF text; None stands for the package's own iCub arm, and then ``joints``, ``sensor_frame`` and
         ``home`` have defaults too.
+    :param locked: joints that stay at positions [rad, m] other than zero.
     :param robot_seed: what the true inertias are drawn from; None takes ``seed``.
     :param baseline: ``none`` (nothing else is missing) or ``bundled`` (a few small unmodelled effects more).
     :param noise: scale of the outputs' noise, 2 % of their standard deviation at 1.
@@ -47,6 +48,7 @@ class Scenario:
     outputs: str = 'wrench'
     urdf: str | None = None
     joints: tuple[str, ...] | None = None
+    locked: tuple[tuple[str, float], ...] = ()
     sensor_frame: str | None = None
     convention: str = 'reaction'
     baseline: str = 'none'

@@ -179,3 +179,19 @@ def test_columns_of_a_table_become_messages_when_they_change(tmp_path, capsys):
     np.testing.assert_array_equal(found.temperature[:, 1], [math.nan, 30.0, 30.0, 30.0, 31.5])
     assert 'temperature has 1 columns; expected 0, one for each of --temperatures' in refusal(
         capsys, 'convert', path, bag, *options, '--temperature', 'warm')
+
+
+def test_a_conversion_renames_whose_temperature_it_is_and_stamps_it(tmp_path):
+    """Joints alone got new names and stamps, so that no temperature belonged to any of them."""
+    source, target = tmp_path / 'a.mcap', tmp_path / 'b.mcap'
+    with BagWriter(source) as bag:
+        for seconds in (5, 6):
+            header = {'stamp': stamp_fields(0), 'frame_id': 'fer_joint1'}
+            bag.write(layout.TEMPERATURE, layout.TYPES[layout.TEMPERATURE], {'header': header, 'temperature': 31.0},
+                      10**9 * seconds)
+            bag.write(layout.JOINT_STATES, layout.TYPES[layout.JOINT_STATES], {'name': ['fer_joint1']}, 10**9 * seconds)
+    assert semiparam('convert', source, target, '--joint', 'fer_*=panda_*', '--stamps-from-log') == 0
+    with open_bag(target) as bag:
+        told = [(message.data.header.stamp.sec, message.data.header.frame_id)
+                for message in bag.messages([layout.TEMPERATURE])]
+    assert told == [(5, 'panda_joint1'), (6, 'panda_joint1')]

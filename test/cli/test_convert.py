@@ -94,6 +94,33 @@ def test_columns_by_name_with_times_signs_and_efforts(tmp_path):
     assert (wrench.wrench.force.x, wrench.wrench.torque.z) == (-1.0, -6.0)
 
 
+def test_a_bag_of_a_killed_recorder_may_have_notes_beside_it(tmp_path):
+    """Without a metadata.yaml its folder was taken for one of tables, and the notes for one that is damaged."""
+    folder = tmp_path / 'killed'
+    folder.mkdir()
+    (folder / 'notes.txt').write_text('run of tuesday\n')
+    assert convert(table(tmp_path, '1 2 3 4\n'), folder / 'run_0.mcap', *TWO_JOINTS) == 0
+    assert convert(folder, tmp_path / 'out.mcap') == 0
+    assert len(messages(tmp_path / 'out.mcap', '/joint_states')) == 1
+
+
+def test_the_heading_over_row_numbers_may_be_empty(tmp_path):
+    """The columns of a table with tabs were taken one too far to the left: row numbers for times."""
+    bag = tmp_path / 'out.mcap'
+    for separator in '\t,;':
+        path = table(tmp_path, '\tt\tq1\tq2\n0\t1.5\t0.1\t0.2\n1\t1.6\t0.3\t0.4\n'.replace('\t', separator))
+        assert convert(path, bag, '--joints', 'hip,knee', '--time', 't', '--position', 'q1,q2') == 0
+        states = messages(bag, '/joint_states')
+        assert [(state.log_time, list(state.data.position)) for state in states] == [
+            (1_500_000_000, [0.1, 0.2]), (1_600_000_000, [0.3, 0.4])]
+
+
+def test_a_first_row_that_lacks_a_number_is_no_header(tmp_path):
+    path, bag = table(tmp_path, '1,2,,4\n5,6,7,8\n'), tmp_path / 'out.mcap'
+    assert convert(path, bag, '--joints', 'a,b', '--position', '1-2', '--rate', '1') == 0
+    assert messages(bag, '/joint_states')[0].data.position == [1.0, 2.0]
+
+
 def test_options_win_over_the_columns_file(tmp_path):
     columns = tmp_path / 'columns.yaml'
     columns.write_text('joints: [a, b]\nrate: 10\ndegrees: true\ncolumns: {position: 1-2, velocity: 3-4}\n')

@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from semiparam_ros.bags.reader import open_bag
+from semiparam_ros.bags.writer import BagWriter
 from semiparam_ros.cli.evaluate import print_scores
 from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.horizon_error import HorizonErrors
@@ -169,6 +171,18 @@ def test_too_short_a_recording_is_refused(params, tmp_path, capsys):
     bag = write_arm(tmp_path / 'short.mcap', 60)
     assert 'the robot moves in 60 of 60 samples, which are too few: the initial window' in refusal(
         capsys, 'evaluate', bag, '--params', params)
+
+
+def test_windows_without_hyperparameters_are_the_reason_that_is_told(params, tmp_path, capsys):
+    """Not that the robot moves too little, which it does in all of them."""
+    whole, dead = write_arm(tmp_path / 'whole.mcap', 400), tmp_path / 'dead.mcap'
+    with open_bag(whole) as source, BagWriter(dead) as bag:
+        for message in source.messages():
+            if message.topic == '/wrench':
+                message.data.wrench.torque.z = 0.0
+            bag.write(message.topic, message.type, message.data, message.log_time)
+    told = refusal(capsys, 'evaluate', dead, '--params', params, '--variant', 'P')
+    assert 'no initial window gives hyperparameters, the last one because output 5' in told
 
 
 def test_the_widest_figures_fit_into_a_terminal(capsys):

@@ -8,6 +8,7 @@ import pytest
 import yaml
 
 from semiparam_ros.bags.loading import load_samples
+from semiparam_ros.cli.evaluate import load_bags
 from semiparam_ros.core.robot.consistency import is_consistent
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.effects import effect_from_text
@@ -87,6 +88,24 @@ def test_a_load_is_told_in_the_forms_of_controllers(folder):
     assert f'robot.setLoad({desk["mass"]:.10g}, {{{{' in files['libfranka'].read_text()
 
 
+def test_known_tools_are_taken_off_a_recording(folder):
+    """As the node does: a tool that the parameters declare was found once more, as a load and in the links."""
+    known = '    tools: [\'{}r_hand {{"mass": 0.4, "centre": [0.0, 0.02, 0.05]}}\']\n'
+    masses = []
+    for text in ('', known.format('-'), known.format('')):  # taken off, then carried
+        (folder / 'tool.yaml').write_text(PARAMS + text)
+        found = document(folder / 'tool.json', 'export', folder / 'arm.mcap', '--params', folder / 'tool.yaml',
+                         '--load', 'r_hand', '--keep-inertias')
+        masses.append(found['loads'][0]['mass'] if found['loads'] else 0.0)
+    assert masses[1] == pytest.approx(masses[0] + 0.4, abs=0.005) and masses[2] == 0.0
+    settings = load_params(folder / 'tool.yaml')
+    recorded = load_samples(folder / 'arm.mcap', settings).samples.outputs
+    kept, bare = (load_bags([folder / 'arm.mcap'], settings, with_tools=with_tools)[0].samples.outputs
+                  for with_tools in (True, False))
+    np.testing.assert_array_equal(kept, recorded)
+    assert np.abs(bare - recorded).max() > 4.0
+
+
 def test_the_weight_on_a_sensor_is_that_of_one_body(folder, tmp_path, capsys):
     path = tmp_path / 'f.yaml'
     assert 'bodies hang on the sensor and move against each other' in refusal(
@@ -99,6 +118,7 @@ def test_the_weight_on_a_sensor_is_that_of_one_body(folder, tmp_path, capsys):
     assert parameters['sensor_frame'] == 'r_upper_arm'
     # the sensor tells the action on the tool
     assert parameters['tool']['gravity_field'] == [0.0, 0.0, 9.81]
+    assert parameters['world_frame'] == 'root_link'  # a frame "world" there need not be
     described = sum(values[0] for name, values in described_links(URDF.read_text()).items()
                     if name in ('r_upper_arm', 'r_elbow_1', 'r_forearm', 'r_hand'))
     assert parameters['tool']['mass'] == pytest.approx(1.2 * described, rel=0.1)

@@ -1,14 +1,21 @@
 """`semiparam simulate` and the bundled recordings that it made."""
 
+import argparse
 import json
 import shlex
+from dataclasses import replace
 
+import numpy as np
 import pytest
 import zstandard
 
 from semiparam_ros.bags.reader import open_bag
 from semiparam_ros.cli.main import main
-from semiparam_ros.settings import load_params
+from semiparam_ros.cli.simulate import add_arguments, scenario_of
+from semiparam_ros.core.samples import Samples
+from semiparam_ros.settings import Settings, dump_params, load_params
+from semiparam_ros.settings.build import build_rigid_body
+from semiparam_ros.simulation.robots import ICUB_JOINTS, arm_of
 from support.commands import refusal
 
 BUNDLED_WITH_ZSTD = (1, 5, 7)
@@ -86,6 +93,25 @@ def test_a_parameter_file_names_the_robot(repository, tmp_path):
     assert main(['simulate', str(bag), '--samples', '50', '--motion', 'fourier', '--params', str(params)]) == 0
     state = next(iter(open_bag(bag).messages(['/joint_states']))).data
     assert list(state.name) == ['r_shoulder_roll', 'r_elbow']
+
+
+@pytest.mark.parametrize('described', ['file', 'text'])
+def test_the_robot_of_a_parameter_file_has_its_locked_joints_and_its_description(described, repository, tmp_path):
+    """Another arm was simulated than the file's: the elbow at zero, or the package's own."""
+    urdf = repository / 'config' / 'icub_right_arm.urdf'
+    elbow = 'r_elbow' if described == 'file' else 'my_elbow'
+    settings = Settings(outputs='effort', joints=ICUB_JOINTS[:3], locked_joints_names=(elbow,),
+                        locked_joints_positions=(1.4,))
+    settings = replace(settings, robot_description_file=str(urdf)) if described == 'file' else replace(
+        settings, robot_description=urdf.read_text().replace('r_elbow"', 'my_elbow"'))
+    dump_params(settings, tmp_path / 'p.yaml')
+    parser = argparse.ArgumentParser()
+    add_arguments(parser)
+    arm = arm_of(scenario_of(parser.parse_args(['--params', str(tmp_path / 'p.yaml')])))
+    body = build_rigid_body(settings, None)
+    motion = np.random.default_rng(0).standard_normal((3, 5, 3))
+    samples = Samples(np.arange(5), *motion, np.zeros((5, 3)), 0)
+    np.testing.assert_allclose(arm.evaluate(*motion), body.outputs_of(samples, body.base_parameters), atol=1e-9)
 
 
 @pytest.mark.parametrize(('arguments', 'words'), [

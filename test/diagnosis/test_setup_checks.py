@@ -310,12 +310,14 @@ def test_effects_of_three_times_the_usual_size_raise_no_alarm(outputs, kind, mot
     assert setup_problems(*simulated(outputs, kind, motion, 5)) == []
 
 
-def test_dead_outputs_are_said_to_be_dead_and_one_dead_channel_is_noted():
-    body, samples = simulated()
+@pytest.mark.parametrize('outputs', ['wrench', 'effort'])
+def test_a_dead_output_ends_the_diagnosis_in_one_sentence(outputs):
+    """One of them was noted alone: weighed as exact, it ended the fit, or bent it and had an error of 1e300."""
+    body, samples = simulated(outputs)
     assert whats(body, replace(samples, outputs=np.full_like(samples.outputs, 3.0))) == ['outputs_constant']
-    partly = scaled(samples, 0.0, 'outputs', joint=4)
-    assert setup_problems(body, partly) == []
-    assert unidentifiable(body, partly) == ['No change was measured in ty: what acts there cannot be seen.']
+    with pytest.raises(SemiparamError, match=f'No change was measured in {body.output_names[3]} while') as error:
+        diagnose(body, scaled(samples, 0.0, 'outputs', joint=3))
+    assert ('output_joints' in str(error.value)) == (outputs == 'effort')
 
 
 def test_a_robot_that_stands_still_says_nothing_about_its_setup():
@@ -507,6 +509,13 @@ def test_a_joint_that_hardly_moves_is_named():
     held = replace(samples, position=samples.position * np.array([1.0, 0.01, 1.0, 1.0]))
     assert any(note.startswith('r_shoulder_roll (0.0') and 'hardly moved' in note
                for note in unidentifiable(body, held))
+
+
+def test_a_joint_that_hardly_slides_is_named_in_metres():
+    body = RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, 'effort')
+    samples = smooth_motion(4, 400)
+    held = replace(samples, position=samples.position * np.array([0.01, 1.0, 1.0, 1.0]), outputs=samples.velocity)
+    assert any(note.startswith('lift (0.0') and ' m) hardly moved' in note for note in unidentifiable(body, held))
 
 
 @pytest.mark.parametrize('count', [1, 2, 5])

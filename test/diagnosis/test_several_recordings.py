@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,8 +13,9 @@ from semiparam_ros.core.signals.smoothing import smoothed
 from semiparam_ros.diagnosis.data.outliers import excluded, gaps
 from semiparam_ros.diagnosis.data.recordings import beside_breaks, during, present, whole_groups
 from semiparam_ros.diagnosis.diagnose import diagnose
-from semiparam_ros.diagnosis.text_report import text_report
-from semiparam_ros.effects import effect_to_text, kinds
+from semiparam_ros.diagnosis.text_report import text_report, when
+from semiparam_ros.effects import effect_from_text, effect_to_text, kinds
+from semiparam_ros.effects.base import Span
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.experiments.scoreboard import body_of, samples_of
 from semiparam_ros.simulation.scenario import Scenario
@@ -74,6 +76,31 @@ def test_runs_of_recordings():
     load = kinds()['payload']('r_gripper')
     assert present(joined, 'ABC', during(joined, 1, load)) == ('B',)
     assert effect_to_text(during(joined, 1, load).without_span()) == 'payload@r_gripper'
+
+
+def test_only_the_first_recording_has_a_date():
+    """Another one, that was recorded before it, had the date of a minute after the end of the first."""
+    _, samples = recorded('wrench')
+    joined, load = Samples.joined(samples), kinds()['payload']('r_gripper')
+    told = SimpleNamespace(names=('late', 'early'), recordings_of=lambda effect: (),
+                           recorded=SimpleNamespace(samples=joined))
+    first, second = (replace(load, span=Span(5.0 + start_s)) for start_s in (0.0, joined.time[joined.recordings[1]][0]))
+    assert when(told, first).startswith(', since 5.0 s of late (2023-')
+    assert when(told, second) == ', since 5.0 s of early'
+
+
+@pytest.mark.parametrize('number', [0, 1, 2])
+def test_times_of_an_effect_in_one_recording_count_from_its_beginning(number):
+    """They counted from that of the first, in which the effect then was too, and an end was not heeded."""
+    joined = Samples.joined(recorded('wrench')[1])
+    part = joined.recordings[number]
+    time = joined.time[part] - joined.time[part.start]
+    for text, wanted in (('{"start_s": 5.01}', time > 5.01), ('{"end_s": 5.01}', time < 5.01),
+                         ('{"start_s": 2.01, "end_s": 5.01}', (time > 2.01) & (time < 5.01))):
+        span = during(joined, number, effect_from_text(f'payload@r_gripper{text}')).span
+        holds = span.holds(joined.stamps, joined.origin)
+        np.testing.assert_array_equal(holds[part], wanted)
+        assert holds.sum() == wanted.sum()
 
 
 def test_the_command_takes_several_bags(tmp_path, capsys):

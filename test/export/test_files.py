@@ -53,6 +53,27 @@ def test_a_joint_with_damping_alone_has_a_curve_that_is_a_line(estimate):
     np.testing.assert_allclose(0.5 * fp1 * np.tanh(0.5 * fp2 * velocity), velocity * [0.5, 1e-3], rtol=3e-3)
 
 
+def test_friction_of_some_joints_stands_at_their_places(estimate):
+    """A controller takes as many values as it has joints, whatever the vectors hold."""
+    effects = [effect_from_text(f'viscous_friction@{ICUB_JOINTS[joint]}') for joint in (3, 1)]
+    columns = CoupledColumns(estimate.columns.body, effects, False, True)
+    mean = columns.expected
+    mean[[columns.blocks[name].start for name in '01']] = 0.3, 0.1
+    known = Estimate(columns, mean, 1e4 * np.eye(len(mean)), 'a table', np.full(4, SPEED))
+    text = crisp_friction(identify(known, described_links(URDF)), 'how')
+    fp1, fp2 = (np.array(yaml.safe_load(text)['friction'][name]) for name in ('fp1', 'fp2'))
+    np.testing.assert_allclose(0.25 * fp1 * fp2, [0.0, 0.1, 0.0, 0.3], rtol=3e-2)
+    assert f'Joints: {", ".join(ICUB_JOINTS)}' in text
+
+
+def test_a_joint_that_stood_still_has_no_friction_whatever_rounding_left(estimate):
+    """Divided by its largest velocity, 1e-17 N m of friction ended the export as an internal error."""
+    estimate.mean[estimate.columns.blocks['friction']] = [0.5, 0.0, 0.0, 0.0, 0.0, 1e-17, *[0.0] * 6]
+    still = estimate._replace(top_speed=np.array([SPEED, 0.0, SPEED, SPEED]))
+    vectors = yaml.safe_load(crisp_friction(identify(still, described_links(URDF)), ''))['friction']
+    assert vectors['fp1'][0] > 0.0 and vectors['fp1'][1] == vectors['fp2'][1] == 0.0
+
+
 def test_a_link_of_any_name_carries_a_load(estimate):
     odd, columns = URDF.replace('r_hand', 'h &lt;&quot;&amp;'), estimate.columns
     body = type(columns.body).from_urdf(odd, ICUB_JOINTS, 'effort')

@@ -228,15 +228,18 @@ def test_a_load_that_the_samples_do_not_show_is_none():
     assert 'The samples show no load at r_hand: none is written.' in lines(found)
 
 
-def test_a_load_picked_up_later_is_told_from_the_links():
+@pytest.mark.parametrize(('declared', 'within'), [
+    ('', 0.8), ('{"start_s": 15.0}', 0.0), ('{"start_stamp_s": %s}', 1e-6)])
+def test_a_load_picked_up_later_is_told_from_the_links(declared, within):
     before, after = recording(WRENCH, seed=8), recording(WRENCH, seed=9, prepare=loaded)
     half = len(before) // 2
     joined = replace(before, **{name: np.concatenate([getattr(before, name)[:half], getattr(after, name)[half:]])
                                 for name in ('position', 'velocity', 'acceleration', 'outputs')})
-    found, _ = exported(WRENCH, joined, ['payload@r_hand'])
+    start = declared.replace('%s', str(joined.origin * 1e-9 + 15.0))
+    found, _ = exported(WRENCH, joined, [f'payload@r_hand{start}'])
     load = found.loads[0]
     assert load.mass == pytest.approx(LOAD[0], rel=0.05)
-    assert load.start_s == pytest.approx(15.0, abs=0.8)
+    assert load.start_s == pytest.approx(15.0, abs=within)
 
 
 def test_a_description_of_bodies_that_cannot_be_is_mended():

@@ -11,7 +11,7 @@ from semiparam_ros.bags.qos import Qos
 from semiparam_ros.bags.reader import open_bag
 from semiparam_ros.bags.writer import BagWriter
 from semiparam_ros.errors import SemiparamError
-from semiparam_ros.playback.options import ReplayOptions, parse_follow, parse_remap
+from semiparam_ros.playback.options import FollowOptions, ReplayOptions, parse_follow, parse_remap
 from semiparam_ros.playback.timeline import BagTimeline, Cut, PlayedTopic, Selection
 from semiparam_ros.ros.cdr import begins_with_header
 from semiparam_ros.ros.message_types import message_class
@@ -164,6 +164,7 @@ def test_unknown_types_are_named(name, sentence):
 @pytest.mark.parametrize(('options', 'sentence'), [
     ({'rate': 0.0}, 'rate must be a finite number above 0'),
     ({'rate': None}, 'needs a follower'),
+    ({'restamp': True, 'follow': FollowOptions({'/answers': None})}, 'restamped messages cannot be followed'),
     ({'order': 'time'}, 'expected one of log, publish, header'),
     ({'delay_s': -1.0}, 'delay must not be negative'),
     ({'clock_hz': 0.0}, 'clock rate must be above 0 Hz'),

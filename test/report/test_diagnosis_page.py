@@ -20,7 +20,7 @@ from semiparam_ros.effects import Effect, kinds
 from semiparam_ros.effects.base import Span
 from semiparam_ros.experiments.scoreboard import body_of, samples_of
 from semiparam_ros.report import diagnosis_figures as figures
-from semiparam_ros.report.diagnosis_figures import dependence, suspected_variable, suspicions
+from semiparam_ros.report.diagnosis_figures import against_unexplained, dependence, suspected_variable, suspicions
 from semiparam_ros.report.diagnosis_page import (
     causes,
     diagnosis_page,
@@ -147,6 +147,13 @@ def test_a_page_without_findings_shows_one_curve_alone(clean):
     assert 'To declare them' not in text
 
 
+def test_what_is_to_be_declared_is_what_the_parameter_file_declares(loaded):
+    """A load with its start in the recording: a node that was given the line took it up so many seconds late."""
+    [finding] = loaded.findings
+    assert finding.effect.start_s is not None
+    assert f"<pre>effects:\n- 'payload@{finding.effect.where}'\n</pre>" in page_of(loaded)
+
+
 def test_the_recording_that_judges_has_a_figure_of_its_own(drifting, loaded):
     assert 'on the recording that judges' in page_of(drifting)
     assert 'elsewhere.mcap' in page_of(drifting)
@@ -239,6 +246,13 @@ def test_every_kind_is_drawn_against_its_own_variable(kind, outputs):
     assert np.ptp(variable.values) > 0.0
     if where in fit.body.joints and LABELS[kind].endswith('of'):
         assert where in variable.label
+
+
+def test_what_no_kind_explains_is_drawn_in_the_units_of_the_joint():
+    names = ('q_lift', 'ddq_turn')
+    structure = Structure(0.3, np.full(4, 0.3), True, variables=tuple(Dependence(name, 0.3) for name in names))
+    figure, _ = against_unexplained(state_of('effort'), structure)
+    assert [panel.get_xlabel() for panel in figure.axes] == ['position of lift [m]', 'acceleration of turn [rad/s²]']
 
 
 def test_all_listed_kinds_have_a_variable_of_their_own():
@@ -366,6 +380,18 @@ def test_intervals_of_independent_errors_are_those_of_the_mean(clean):
     assert bounds.shape == (6, 2)
     width = 9.0 * np.sqrt(2.0 / 20_000) * 2 * 1.96
     assert np.mean(bounds[:, 1] - bounds[:, 0]) == pytest.approx(width, rel=0.15)
+
+
+def test_interval_and_floor_are_over_the_variance_of_what_counts(rubbing):
+    """As the error is: of a joint at rest half of the time they were over that of all its efforts."""
+    counted = np.ones_like(rubbing.after.counted)
+    counted[rubbing.after.outputs > np.median(rubbing.after.outputs, axis=0)] = False
+    evaluation = replace(rubbing.after, counted=counted)
+    diagnosis = replace(rubbing, before=evaluation, by_step=[evaluation] * len(rubbing.by_step))
+    for row, floor in zip(output_rows(diagnosis), relative_floor(diagnosis), strict=True):
+        over = row.rmse[1] ** 2 / row.nmse[1]
+        np.testing.assert_allclose(row.nmse_interval, np.square(row.rmse_interval) / over)
+        assert floor == pytest.approx(row.floor**2 / over)
 
 
 def test_the_noise_floor_is_relative_to_each_output(clean):

@@ -52,7 +52,7 @@ def test_files_made_from_the_table_are_up_to_date(repository, generated):
 def test_a_file_written_is_read_back(tmp_path):
     settings = WRENCH.changed({'variant': 'P', 'effects': ['payload{"start_s": 1.5}', 'time_delay'],
                                'hyperparameters.gamma': [1e-7], 'hyperparameters.sigma': [0.1],
-                               'hyperparameters.output_scale': [1.0] * 6, 'robot_description_file': "it's: here"})
+                               'hyperparameters.output_scale': [1.0] * 6, 'external_wrench.frame': "it's: here"})
     dump_params(settings, tmp_path / 'p.yaml')
     assert load_params(tmp_path / 'p.yaml') == settings
     assert [path.name for path in tmp_path.iterdir()] == ['p.yaml']
@@ -62,7 +62,7 @@ def test_a_file_written_is_read_back(tmp_path):
                        st.floats(0.6, 1.0)), st.text('aé%: #"\\\'', max_size=8))
 def test_any_value_survives_a_file(tmp_path_factory, doubles, text):
     path = tmp_path_factory.mktemp('params') / 'p.yaml'
-    settings = WRENCH.changed({**doubles, 'robot_description_file': text})
+    settings = WRENCH.changed({**doubles, 'external_wrench.frame': text})
     dump_params(settings, path)
     assert load_params(path) == settings
 
@@ -272,6 +272,21 @@ def test_a_description_beside_the_parameter_file_is_found_there(tmp_path, monkey
         assert load_params(path).robot_description_file == name
     assert parameter_files(['--ros-args', '--params-file', '/a/p.yaml', '-r', 'x:=y', '--params-file', 'q.yaml']) == [
         Path('q.yaml'), Path('/a/p.yaml')]
+
+
+def test_a_file_written_elsewhere_names_the_same_places(tmp_path, monkeypatch):
+    """``fit -o`` into another folder moved the states with it, and lost the robot description."""
+    (tmp_path / 'own').mkdir()
+    (tmp_path / 'out').mkdir()
+    (tmp_path / 'own/arm.urdf').write_text('<robot/>')
+    write(tmp_path / 'own/p.yaml', '/**: {ros__parameters: {robot_description_file: arm.urdf, state_folder: states}}')
+    monkeypatch.chdir(tmp_path)
+    dump_params(load_params('own/p.yaml'), 'out/p.yaml')
+    for folder in (tmp_path, tmp_path / 'own', Path('/')):
+        monkeypatch.chdir(folder)
+        found = load_params(tmp_path / 'out/p.yaml')
+        assert Path(found.robot_description_file).resolve() == tmp_path / 'own/arm.urdf'
+        assert Path(found.state_folder).resolve() == tmp_path / 'own/states'
 
 
 def test_a_state_folder_counts_from_the_file_that_gives_it(tmp_path):

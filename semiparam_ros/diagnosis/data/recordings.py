@@ -53,10 +53,11 @@ def own_offsets(body: RigidBody, samples: Samples) -> list[Effect]:
 
 
 def during(samples: Samples, number: int, effect: Effect) -> Effect:
-    """The effect in one of the recordings alone; with a start of its own, until that recording ends."""
-    edges: list[float | None] = [None, *breaks_s(samples), None]
-    own = effect.span if effect.span.values else Span(edges[number])
-    return replace(effect, span=replace(own, end_s=edges[number + 1]))
+    """The effect in one of the recordings alone, its own times counted from where that one begins."""
+    begin, end = ([None, *breaks_s(samples), None][place] for place in (number, number + 1))
+    own = effect.at_stamps(samples.origin + round((begin or 0.0) * 1e9)).in_recording(samples.origin).span
+    return replace(effect, span=Span(begin if own.start_s is None else own.start_s,
+                                     end_s=end if own.end_s is None else own.end_s))
 
 
 def present(samples: Samples, names: Sequence[str], effect: Effect) -> tuple[str, ...]:

@@ -46,7 +46,7 @@ OUTPUT_UNITS = {1.0 / 9.81: 'kilograms-force', 9.81: 'newtons taken for kilogram
 ACCELERATIONS = (
     (-1.0, 'acceleration_sign', 'has the opposite sign of its change of velocity: negate it'),
     (DEGREE, 'acceleration_units', 'is in degrees per second squared: publish it in rad/s^2'))
-NO_MATCH = 'robot_description'
+NO_MATCH, CONSTANT = 'robot_description', 'outputs_constant'
 
 
 class SetupProblem(NamedTuple):
@@ -71,9 +71,7 @@ def setup_problems(body: RigidBody, samples: Samples, config: DiagnosisConfig = 
     if len(samples) < config.least_working_samples or np.all(
             np.ptp(samples.position, axis=0) < config.slow_range):
         return []
-    if not np.ptp(samples.outputs, axis=0).any():
-        return [_constant(body)]
-    missing = _mostly_zero(body, samples, config)
+    missing = _constant(body, samples) or _mostly_zero(body, samples, config)
     if missing:
         return missing
     usable = untouched(samples, touched, config)
@@ -114,11 +112,16 @@ def _confirmed(body: RigidBody, usable: Mask, right: Samples, layout: list[Setup
     return layout if any(problem.what == NO_MATCH for problem in again) else again
 
 
-def _constant(body: RigidBody) -> SetupProblem:
-    what = 'wrench' if body.outputs == 'wrench' else 'efforts'
-    return SetupProblem('outputs_constant', body.sensor_frame, (
-        f'The {what} never change{"s" if what == "wrench" else ""} while the robot moves: check that the sensor is '
-        'switched on and that its driver publishes what it measures.'))
+def _constant(body: RigidBody, samples: Samples) -> list[SetupProblem]:
+    """Outputs that never change: a model that holds them to be measured fits nothing else."""
+    reach = np.ptp(samples.outputs, axis=0)
+    dead = [name for name, value in zip(body.output_names, reach, strict=True) if value == 0.0]
+    if not dead:
+        return []
+    remedy = ', or name the other joints in the parameter output_joints' if body.outputs == 'effort' else ''
+    return [SetupProblem(CONSTANT, body.sensor_frame or dead[0], (
+        f'No change was measured in {listed(dead)} while the robot moves: check that the sensor is switched on and '
+        f'that its driver publishes what it measures{remedy}.'))]
 
 
 def _mostly_zero(body: RigidBody, samples: Samples, config: DiagnosisConfig) -> list[SetupProblem]:

@@ -17,14 +17,15 @@ MOST_GAPS_NAMED = 3
 
 def unidentifiable(body: RigidBody, samples: Samples, config: DiagnosisConfig = DEFAULTS) -> list[str]:
     """Sentences about joints that do not move or all move as one, gaps, and bodies whose inertias do not show."""
-    return (_still(body, samples, config) + _dead(body, samples) + _gaps(samples, config) + _together(samples, config)
+    return (_still(body, samples, config) + _gaps(samples, config) + _together(samples, config)
             + _unseen(body, samples, config))
 
 
 def _still(body: RigidBody, samples: Samples, config: DiagnosisConfig) -> list[str]:
     reach = np.ptp(samples.position, axis=0)
     still = [name for name, value in zip(body.joints, reach, strict=True) if value < config.still_range]
-    slow = [f'{name} ({value:.3f} rad)' for name, value in zip(body.joints, reach, strict=True)
+    slow = [f'{name} ({value:.3f} {body.joint_unit(name, "rad")})'
+            for name, value in zip(body.joints, reach, strict=True)
             if config.still_range <= value < config.slow_range]
     notes = []
     if still:
@@ -45,13 +46,6 @@ def _together(samples: Samples, config: DiagnosisConfig) -> list[str]:
     how = 'one direction' if directions == 1 else f'{directions} directions'
     return [f'The {count} joints move along {how} only, as one sine for all of them would: what one joint lacks looks '
             'like what another lacks. Record motion in which each joint has frequencies of its own.']
-
-
-def _dead(body: RigidBody, samples: Samples) -> list[str]:
-    """Outputs that never change."""
-    reach = np.ptp(samples.outputs, axis=0)
-    dead = [name for name, value in zip(body.output_names, reach, strict=True) if value == 0.0]
-    return [f'No change was measured in {listed(dead)}: what acts there cannot be seen.'] if dead else []
 
 
 def _gaps(samples: Samples, config: DiagnosisConfig) -> list[str]:
