@@ -111,7 +111,8 @@ def _deviations(fit: Fit, columns: Array, told: Array) -> Array:
         repeated[np.ix_(acting, acting)] += (fit.correlation[channel] - 1.0) * (weighed.T @ weighed)
         weighed *= fit.residual[used, channel, None] / fit.scale[channel]
         ends = np.searchsorted(used, [stretch[-1] for stretch in stretches], side='right')
-        scores[:, acting] += np.diff(np.cumsum(weighed, axis=0)[ends - 1], axis=0, prepend=0.0)
+        sums = np.vstack([np.zeros(len(acting)), np.cumsum(weighed, axis=0)])  # a channel may begin late
+        scores[:, acting] += np.diff(sums[[0, *ends]], axis=0)
     changes, repeated = scores @ covariance @ told.T, covariance + covariance @ repeated @ covariance
     clustered = (changes**2).sum(axis=0) * len(stretches) / (len(stretches) - 1)
     return np.asarray(np.sqrt(np.maximum(np.diag(told @ repeated @ told.T), clustered)))

@@ -112,3 +112,22 @@ def test_values_of_efforts_are_told_where_joints_slide():
     values, stds = estimates(fit, []).coefficients[:, -2:]
     assert np.all(np.abs(values - [dry, viscous]) < 2.0 * stds)
     assert np.all(stds < [0.01 * dry, 0.02 * viscous])
+
+
+def test_an_output_that_counts_from_later_on_scatters_in_its_own_stretches_alone():
+    """The first stretch, which it does not count in, had the sum of all: deviations were up to 45 % too large."""
+    rng, counted = np.random.default_rng(4), np.ones(EXACT.shape, dtype=bool)
+    counted[:100, 1] = False
+    samples = replace(MOTION, outputs=EXACT + 0.01 * EXACT.std(axis=0) * of_the_motion(rng))
+    used = np.ones(len(samples), dtype=bool)
+    fit = refit_weights(fit_model(BODY, samples, [], used, np.ones(4), counted=counted))
+    covariance, pulls = fit.theta_covariance(), np.einsum(
+        'nkp,nk->np', np.concatenate(fit.blocks, axis=2), counted * fit.residual / fit.scale**2)
+    changes = np.array([part.sum(axis=0) for part in np.array_split(pulls, fit.config.blocks)]) @ covariance
+    clustered = np.sqrt((changes**2).sum(axis=0) * fit.config.blocks / (fit.config.blocks - 1))
+    repeated = sum((memory - 1.0) * rows.T @ rows / scale**2 for memory, rows, scale in zip(
+        fit.correlation, [np.concatenate(fit.blocks, axis=2)[use, k] for k, use in enumerate(counted.T)], fit.scale,
+        strict=True))
+    single = np.sqrt(np.diag(covariance + covariance @ repeated @ covariance))
+    std = estimates(replace(fit, body=BODY), []).coefficients[1]
+    np.testing.assert_allclose(std, np.maximum(single, clustered), rtol=1e-9)
