@@ -80,6 +80,23 @@ def load_samples(path: str | os.PathLike[str], settings: Table,
                          bag.losses, tuple(map(len, stretches)))
 
 
+def require_same_robot(settings: Table, bags: Sequence[LoadedBag]) -> None:
+    """Raise SemiparamError where recordings are of robots that differ: joints, frames of wrenches, or the descriptions
+    that they carry, where the settings give none."""
+    first = bags[0]
+    for other in bags[1:]:
+        if other.joints != first.joints:
+            raise SemiparamError(f'the recordings are of different robots: one has the joints '
+                                 f'{", ".join(first.joints)}, the other {", ".join(other.joints)}.')
+        if other.frame_id != first.frame_id:
+            raise SemiparamError(f"the wrenches of the recordings are in different frames: '{first.frame_id}' and "
+                                 f"'{other.frame_id}'.")
+    described = {bag.robot_description for bag in bags if bag.robot_description}
+    if len(described) > 1 and not (settings.robot_description_file or settings.robot_description):
+        raise SemiparamError('the recordings carry different robot descriptions; expected those of the same robot, or '
+                             'the parameter robot_description_file.')
+
+
 def measured_accelerations(settings: Table, published: bool) -> bool:
     """Tell whether accelerations come from their topic, by ``acceleration.source`` and what is
     published."""

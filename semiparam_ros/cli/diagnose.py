@@ -91,6 +91,7 @@ def run(args: argparse.Namespace) -> int:
 
 def diagnose_bag(args: argparse.Namespace, settings: Settings) -> Diagnosis:
     """Load what the options name and diagnose it, with progress on a terminal."""
+    from semiparam_ros.bags.loading import require_same_robot
     from semiparam_ros.cli.evaluate import load_bags
     from semiparam_ros.core.samples import Samples
     from semiparam_ros.diagnosis.data.outliers import working_factor
@@ -109,6 +110,7 @@ def diagnose_bag(args: argparse.Namespace, settings: Settings) -> Diagnosis:
                              'judges with --judge.')
     bags = load_bags(args.bags, settings, lambda rate: most_samples(rate) // len(args.bags))
     judges = load_bags([args.judge], settings, most_samples) if args.judge else []
+    require_same_robot(settings, [*bags, *judges])
     for path, bag in zip([*args.bags, args.judge], [*bags, *judges], strict=False):
         if len(bag.stretches) > 1:
             options.console.print(

@@ -97,6 +97,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Evaluate every variant in turn on the same samples."""
+    from semiparam_ros.bags.loading import require_same_robot
     from semiparam_ros.report.horizon_figure import picture_format
     from semiparam_ros.settings import load_params
     from semiparam_ros.settings.build import build_rigid_body
@@ -116,6 +117,7 @@ def run(args: argparse.Namespace) -> int:
     rows: list[str] | None = [] if args.external_wrench else None
     changes: dict[int, ChangeRecord] | None = None if args.auto == 'off' else {}
     training, bags = (load_bags(paths, settings, with_tools=True) for paths in (args.train, args.bags))
+    require_same_robot(settings, [*bags, *training])
     with options.progress_bar() as progress:
         scores = {variant: evaluate(replace(settings, variant=variant), training, bags, args.frozen, progress,
                                     waits, rows, changes)

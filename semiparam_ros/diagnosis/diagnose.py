@@ -32,6 +32,7 @@ from semiparam_ros.diagnosis.uncertainty import Estimates, estimates
 from semiparam_ros.diagnosis.unlisted import function_explains_more, holding
 from semiparam_ros.effects import Effect, effect_to_text, kinds
 from semiparam_ros.effects.base import place
+from semiparam_ros.effects.geometry import VelocityFilter
 from semiparam_ros.errors import SemiparamError
 
 VERDICTS = ('effect_found', 'nothing_missing', 'unexplained')
@@ -355,7 +356,8 @@ def verdict(first: Fit, final: Fit, structure: Structure | None, unexplained: bo
 def _notes(samples: Samples, start: _Start, found: list[Finding]) -> list[str]:
     """Doubts that are said beside the result."""
     config = start.first.config
-    stamps = bursts(samples, config) or late(start.inputs, samples)
+    filter_declared = any(effect.kind == VelocityFilter.kind for effect in start.first.effects)
+    stamps = bursts(samples, config) or late(start.inputs, samples, filter_declared)
     count, left_out = int((~start.clean).sum()), list[str]()
     if count:
         left_out = [f'{count} of {len(samples)} samples next to gaps and shocks are left out.']

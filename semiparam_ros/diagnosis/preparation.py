@@ -213,15 +213,16 @@ def too_fast(body: RigidBody, samples: Samples, inputs: Inputs, fit: Fit) -> lis
             f'the model leaves. Small effects found here, or small ones not found, say little; {remedy}.']
 
 
-def late(inputs: Inputs, samples: Samples) -> list[str]:
-    """A sentence about velocities, and one about accelerations, that come after the positions, as filtered ones do."""
+def late(inputs: Inputs, samples: Samples, filter_declared: bool = False) -> list[str]:
+    """A sentence about velocities, unless their filter is declared, and one about accelerations, that come after the
+    positions, as filtered ones do."""
     least, used = 0.5e-9 * float(np.median(np.diff(samples.stamps))), SMOOTHED.get(inputs.motion, (0,))[0]
     sentences = []
     remedies = (f'declare velocity_filter{{"time_constant_s": {inputs.lags[0]:.2g}}}',
                 'where none are published, raise acceleration.cutoff')
     for order, (name, lag, remedy) in enumerate(
             zip(('velocities', 'accelerations'), inputs.lags, remedies, strict=True), start=1):
-        if lag > least:
+        if lag > least and not (order == 1 and filter_declared):
             here = ('Here they were taken as much earlier.' if used > order else 'They were not used here.' if used else
                     'Until then a friction or a delay found here may be off.')
             sentences.append(f'The {name} come {1e3 * lag:.1f} ms after the motion of the positions, as a filter makes '

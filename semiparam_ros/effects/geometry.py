@@ -183,7 +183,10 @@ class TimeDelay(Effect):
 
 
 class VelocityFilter(Effect):
-    """The driver filters velocities: the true one is the recorded one plus ``time_constant_s`` times its change."""
+    """The driver filters velocities: the true one is the recorded one plus ``time_constant_s`` times its change.
+
+    Not in a whole recording: its positions have put the velocities right.
+    """
 
     kind: ClassVar[str] = 'velocity_filter'
     shows_against: ClassVar[Axis] = 'acceleration'
@@ -207,6 +210,8 @@ class VelocityFilter(Effect):
         return Absent(self)
 
     def correct(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[RigidBody, Samples, Memory]:
+        if samples.whole:
+            return body, samples, None
         velocity = samples.velocity + self.value('time_constant_s') * samples.acceleration
         return body, replace(samples, velocity=velocity), None
 

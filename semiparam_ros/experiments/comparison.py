@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import norm
 
-from semiparam_ros.bags.loading import LoadedBag
+from semiparam_ros.bags.loading import LoadedBag, require_same_robot
 from semiparam_ros.core.estimator import Estimator, EstimatorState
 from semiparam_ros.core.hyperparameters.estimation import Hyperparameters
 from semiparam_ros.core.initial_window import gathered_from
@@ -78,7 +78,7 @@ def scenario_from(settings: Settings, train: LoadedBag, test: LoadedBag, *, subs
     :param subset_samples: length of each part of ``test``; by default all of it is divided.
     :param train_samples: how much of ``train`` to use; by default all. :param test_from: first row of ``test`` to use.
     """
-    _require_same_robot(train, test)
+    require_same_robot(settings, [train, test])
     settings = replace(settings, forgetting=1.0) if settings.forgetting == AUTO else settings
     settings = replace(settings, features_count=model_options(settings).most_features, priors='paper',
                        joint_friction=False, features_frequencies='independent')
@@ -98,18 +98,6 @@ def scenario_from(settings: Settings, train: LoadedBag, test: LoadedBag, *, subs
     return ComparisonScenario(settings, learnt, test.samples,
                               train.robot_description or test.robot_description, split,
                               tuple(variants), tuple(seeds), estimation or Estimation())
-
-
-def _require_same_robot(train: LoadedBag, test: LoadedBag) -> None:
-    if train.joints != test.joints:
-        raise SemiparamError(f'the recordings are of different robots: one has the joints {", ".join(train.joints)}, '
-                             f'the other {", ".join(test.joints)}.')
-    if train.frame_id != test.frame_id:
-        raise SemiparamError(f"the wrenches of the recordings are in different frames: '{train.frame_id}' and "
-                             f"'{test.frame_id}'.")
-    described = {bag.robot_description for bag in (train, test) if bag.robot_description}
-    if len(described) > 1:
-        raise SemiparamError('the recordings carry different robot descriptions; expected two of the same robot.')
 
 
 def _split(total: int, begin: int, subsets: int, samples: int | None, horizon: int) -> tuple[tuple[int, int], ...]:

@@ -183,7 +183,7 @@ def from_recording(body: RigidBody, effects: Sequence[Effect], samples: Samples,
                              'coefficients.')
     best: tuple[float, str, SampleTable] | None = None
     for motion, measured in MOTIONS.items():
-        rows = smoothed(samples, measured)[::step]
+        rows = replace(smoothed(samples, measured), whole=True)[::step]
         table = _table(model, rows, moves[::step], keep_inertias).weighed()
         table = _with_starts(table, rows.time)
         loss = sum(float(np.nansum(table.error(mean, fold)) * fold.sum())

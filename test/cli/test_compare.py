@@ -219,8 +219,11 @@ def test_recordings_of_different_robots_are_refused(folder, capsys, tmp_path, mo
     (tmp_path / 'other.urdf').write_text(recordings.URDF.read_text().replace('<mass value="', '<mass value="1'))
     monkeypatch.setattr(recordings, 'URDF', tmp_path / 'other.urdf')
     other = write_arm(tmp_path / 'other.mcap', 200, seed=3)
-    assert 'different robot descriptions' in refusal(
-        capsys, 'compare', folder / 'train.mcap', other, '--params', folder / 'arm.yaml', '-o', tmp_path / 'p.html')
+    train, params = folder / 'train.mcap', ('--params', folder / 'arm.yaml')
+    for command in (('compare', train, other, *params, '-o', tmp_path / 'p.html'), ('evaluate', train, other, *params),
+                    ('evaluate', train, '--train', other, *params), ('diagnose', train, other, *params),
+                    ('diagnose', train, '--judge', other, *params)):
+        assert 'different robot descriptions' in refusal(capsys, *command)
 
 
 @pytest.fixture(scope='module')

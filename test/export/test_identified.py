@@ -242,6 +242,14 @@ def test_a_load_picked_up_later_is_told_from_the_links(declared, within):
     assert load.start_s == pytest.approx(15.0, abs=within)
 
 
+def test_velocities_of_a_recording_are_smoothed_and_not_put_right_twice():
+    """The price of a declared filter was another arm: its positions tell the velocities."""
+    samples = recording(EFFORTS, seed=3)
+    prices = [exported(EFFORTS, samples, effects)[0].price
+              for effects in ([], ['velocity_filter{"time_constant_s": 0.1}'])]
+    assert prices[0] == prices[1]
+
+
 def test_a_description_of_bodies_that_cannot_be_is_mended():
     wrong = URDF.replace('ixx="0.000766"', 'ixx="-0.001"').replace('izz="0.00026"', 'izz="0.01"')
     robot = Robot(wrong, ICUB_JOINTS, HOME)

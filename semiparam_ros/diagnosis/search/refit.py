@@ -78,9 +78,11 @@ def gauss_newton(fit: Fit, moving: Sequence[Effect], found: Collection[int] = ()
     ``found``, to their most likely values, all together.
 
     One may pull against another, as the lead of frictions and a delay of the efforts do. A step that would not lower
-    the loss is shortened, one that would hardly lower it is not taken.
+    the loss is shortened, one that would hardly lower it is not taken. What no search tries, as a filter of velocities,
+    stays as it was declared.
     """
-    places, config = {identity(effect) for effect in moving}, fit.config
+    places = {identity(effect) for effect in moving if effect.places(fit.body)}
+    config = fit.config
     for _ in range(config.newton_steps):
         calibrations = [effect for effect in fit.effects if identity(effect) in places]
         shapes = shapes_of(fit, found)
