@@ -53,7 +53,7 @@ def holding(steps: list[Step], kinds: Collection[str]) -> list[Step]:
     before, kept = steps[0].before, list[Step]()
     for step in steps:
         known = {identity(effect) for effect in (*before.effects, *step.added)}
-        effects = [effect for effect in final.effects if identity(effect) in known]
+        effects = [effect for effect in final.effects if identity(effect) in known or step is steps[-1]]
         if len(effects) > len(before.effects):
             after = with_effects(final, effects)
             kept.append(replace(step, before=before, after=after, dropped=()))
