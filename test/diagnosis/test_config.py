@@ -20,7 +20,7 @@ NAMES = [each.name for each in fields(DiagnosisConfig)]
 
 # What decides nothing: how much a text shows, steps of derivatives, guards of arithmetic, constants of mathematics.
 NUMBERS_ELSEWHERE = {'MOST_PARAMETERS', 'MOST_IN_ROW', 'MOST_DECIMALS', 'MOST_GAPS_NAMED', 'DERIVATIVE_STEP',
-                     'DIFFERENCE', 'POINT_DIFFERENCE', 'GAIN_STEP', 'POINT_REACH', 'START_RIDGE', 'RIDGE', 'WHITENING',
+                     'DIFFERENCE', 'POINT_DIFFERENCE', 'GAIN_STEP', 'POINT_REACH', 'START_RIDGE', 'WHITENING',
                      'RANK', 'ACCELERATIONS', 'NORMAL_MAD', 'ROUNDED', 'DEGREE', 'EARLIEST_DATE_S', 'SMOOTHED',
                      'OF_PSEUDO_INERTIA'}
 

@@ -24,8 +24,6 @@ from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array
 from semiparam_ros.diagnosis.config import DiagnosisConfig
 
-RIDGE = 1e-10
-
 
 @dataclass(frozen=True, eq=False)
 class Equations:
