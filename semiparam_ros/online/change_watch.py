@@ -125,8 +125,13 @@ class Contacts:
         elif touched:
             began = block.start - (block.end - block.start)  # what stands out began a little before
             self._since = began if self._since is None else self._since
-        elif self._since is not None:
-            self.over.append((self._since, block.end))
+        else:
+            self.end(block.end)
+
+    def end(self, stamp: int) -> None:
+        """What stood out is over, or looked at no longer, at a stamp [ns]."""
+        if self._since is not None:
+            self.over.append((self._since, stamp))
             self._since = None
 
     def reset(self) -> None:
@@ -369,6 +374,7 @@ class ChangeWatch:
         self.detector = self._columns = None
         self.holds = False
         self.applied.assume(None)
+        self._contacts.end(self._now)
 
     def reset(self) -> None:
         """Drop what is half seen, as after a jump of the clock: what came before is no longer there

@@ -846,6 +846,9 @@ class ChangeDetector:
         followed = self.followed
         again = followed is not None and followed.blocks < JUDGED_ANEW
         self.number += not again
+        touched = min(blocks[0].start, self._touched_at)
+        if followed is not None and again:
+            touched = min(touched, followed.change.touched)
         change = Change(
             self.number,
             blocks[0].start,
@@ -856,12 +859,13 @@ class ChangeDetector:
             std,
             judged.evidence,
             tuple(self._names[index] for index in order),
-            touched=min(blocks[0].start, self._touched_at),
+            touched=touched,
         )
         if followed is not None and not again and self._reference is not None:
-            # what was told before is part of the robot now
+            # what was told before is part of the robot now; blocks beside another one tell nothing
             known = self._directions[: self._n_own, followed.cause.part] @ followed.theta
             self._reference[: self._n_own] += known
+            self._blocks.clear()
             blocks = []
         self.touched, self.followed = False, Followed(change, judged, blocks)
         self._compared = np.zeros(3)

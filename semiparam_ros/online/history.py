@@ -214,11 +214,12 @@ class History:
         self._kept = sample.stamp
 
     def _let_go(self, batch: SampleBatch) -> None:
-        """Keep one of each half hour of samples that are let go."""
+        """Keep one of each half hour of samples that are let go; copies, as a part keeps its whole chunk."""
         stamps = batch.stamps
         for number in range(len(batch)):
             if _far(int(stamps[number]), self._bridged):
-                self._bridge.extend(batch.part(number, number + 1))
+                one = batch.part(number, number + 1)
+                self._bridge.extend(replace(one, rows=[Rows(*map(np.copy, rows)) for rows in one.rows]))
                 self._bridged = int(stamps[number])
 
     @property

@@ -113,7 +113,7 @@ class Learner:
         """How often the model of a whole later window took over."""
         self.failed_windows: list[str] = []
         """Of each initial window that gave no hyperparameters the reason."""
-        self._background, self._listener, self._checkpoint = background, listener, checkpoint
+        self._listener, self._checkpoint = listener, checkpoint
         self.switcher = ModelSwitcher(body, background, self, listener.shadow_horizon_completed,
                                       listener.failed)
         self.changes = ChangeWatch(body, background, listener.change_reported, listener.failed)

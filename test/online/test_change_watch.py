@@ -118,6 +118,16 @@ def test_answers_are_the_same_whether_changes_are_looked_for_or_not():
     ).all()
 
 
+def test_a_touch_ends_when_nobody_looks_any_more():
+    """It lasted until somebody did again: all between was left out of a diagnosis."""
+    body, samples = pushed(start=50.0, newton=30.0)
+    stage = offered(body, samples[samples.time < 52.0])
+    for auto, start, end in (('off', 52.0, 70.0), ('report', 70.0, 72.0)):
+        stage.learner.change(replace(stage.learner.settings, diagnosis_auto=auto))
+        stage.offer(samples[(samples.time >= start) & (samples.time < end)])
+    assert max(end - start for start, end in stage.learner.changes.contacts) < 3e9
+
+
 def test_an_error_while_looking_keeps_no_sample_from_being_learnt(monkeypatch):
     body, samples = free()
     stage = Stage(SETTINGS, background=InlineBackground(), body=body)

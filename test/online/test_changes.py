@@ -14,7 +14,7 @@ from semiparam_ros.online.changes import LENGTHS, USUAL, ChangeDetector
 from semiparam_ros.online.diagnosis_jobs import diagnose
 from semiparam_ros.online.history import batch_of
 from semiparam_ros.online.wandering_contact import WANDERS, wandering
-from support.changing_arm import LOADED_S, caught, elbow_rests, free, loaded, offered, pushed
+from support.changing_arm import LOADED_S, caught, elbow_rests, free, loaded, offered, pushed, turned
 
 
 def told(body, samples):
@@ -68,6 +68,16 @@ def test_a_second_change_ends_when_it_does_while_the_first_one_is_there():
         (1, 'payload'), (2, 'sensor_offset'), (2, 'sensor_offset')
     ]
     assert abs((found[-1].ended - samples.origin) * 1e-9 - 92.0) < 0.5
+
+
+def test_a_second_change_is_one_change():
+    """Blocks from before it was told were compared with the robot before the first one: told were five to seven."""
+    (body, samples, _), (_, base) = loaded(), turned(start=84.0)
+    both = replace(samples, outputs=samples.outputs + base.outputs - free()[1].outputs)
+    found, _, _ = told(body, both[samples.time < 94.0])
+    assert {change.number for change in found} == {1, 2}
+    assert (found[-1].kind, found[-1].ended) == ('base_shift', None)
+    assert abs((found[-1].touched - samples.origin) * 1e-9 - 84.0) < 0.2
 
 
 def test_what_comes_is_judged_by_the_model_from_before_the_longest_window():

@@ -362,6 +362,20 @@ def test_time_goes_on_after_a_reset_and_after_jumps_of_the_clock():
         assert 0.0 <= columns.max() < 5.0, 'seconds since the start, without those that the clock jumped'
 
 
+def test_a_model_built_after_a_jump_of_the_clock_leaves_out_the_same_blocks():
+    """The block that had begun lasted until the clock was where it had been."""
+    samples, stage = motion(900), Stage(replace(SETTINGS, variant='P'), InlineBackground())
+    stage.offer(samples[:600])
+    stage.learner.clear_pending()  # as the node does
+    stage.offer(later(samples[600:], -11.0))
+    estimator, history = stage.learner.estimator, stage.learner.history
+    known = model_jobs.known_of(estimator)
+    built = model_jobs.build(stage.learner.built, BODY, history.batch(), known, history.origin)
+    one, other = (each.ensemble.carried.state() for each in (estimator, built))
+    np.testing.assert_array_equal(one['counts'], other['counts'])
+    np.testing.assert_allclose(one['theta0'], other['theta0'], rtol=1e-9)
+
+
 def test_a_span_begins_after_the_last_jump_of_the_clock():
     history, samples = History(5, 100, 2), motion(60)
     for sample in [*later(samples[:30], 500.0), *samples[30:]]:
@@ -554,6 +568,8 @@ def test_what_a_history_lets_go_of_hours_is_no_jump_of_the_clock(works):
         is_news = prediction.motion.is_news
         history.append(sample, Learning.YES if is_news else Learning.NO_NEWS)
     assert len(history) < 140
+    bridged = history._bridge._chunks
+    assert bridged and all(len(rows.values.base) == 1 for rows in bridged), 'each kept a chunk: 21 MB a day'
     again = History(40, 60, 2)
     again.refill(pickle.loads(pickle.dumps(history.batch())))
     for each in (history, again):
