@@ -12,7 +12,7 @@ from semiparam_ros.simulation.simulate import simulate
 
 
 def test_parts_of_the_same_recording_are_judged_at_their_own_time():
-    """Time went on from the end: a load of the last third was taken for there in all of them (0.12, without it 0.09)."""
+    """Time went on from the end: a load of the last third was there in all of them."""
     recording = simulate(Scenario(samples=900, effects=(EffectRequest('payload', size=3.0, start_s=30.0),), seed=1))
     body, samples = body_of(recording), samples_of(recording)
     fitting = np.arange(900) // 50 % 3 != 1
