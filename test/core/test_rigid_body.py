@@ -20,6 +20,7 @@ from semiparam_ros.core.robot.frames import (
     unit_maps,
 )
 from semiparam_ros.core.robot.rigid_body import RigidBody
+from semiparam_ros.core.robot.size import reach_of, size_of
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online.desired_state import joint_torques
@@ -80,6 +81,17 @@ def test_a_branch_that_the_sensor_does_not_feel_changes_nothing(neck):
     np.testing.assert_allclose([predicted(body, state) for state in motion.swapaxes(0, 1)], expected, **EXACT)
     np.testing.assert_allclose(body.regressors(samples) @ body.base_parameters, expected, **EXACT)
     np.testing.assert_allclose(body.outputs_of(samples, body.base_parameters), expected, **EXACT)
+
+
+@pytest.mark.parametrize('neck', ['a_neck', 'z_neck'])
+def test_a_robot_is_as_heavy_as_all_of_its_branches_and_as_long_as_the_longest(neck):
+    """Only the first one by name counted, and all of their lengths were one reach."""
+    own = RigidBody.from_urdf(ICUB_OWN.read_text(), ICUB_JOINTS, 'effort')
+    head = link('head', 0.1, '0 0 0') + joint(neck, 'revolute', 'chest', 'head')
+    body = RigidBody.from_urdf(ICUB_OWN.read_text().replace('</robot>', f'{head}</robot>'), (*ICUB_JOINTS, neck),
+                               'effort')
+    assert size_of(body) == pytest.approx((size_of(own).mass + 0.1, size_of(own).length))
+    assert reach_of(body) == pytest.approx(reach_of(own))
 
 
 def test_wrench_of_the_bundled_arm_equals_that_of_the_whole_robot(icub_full):
