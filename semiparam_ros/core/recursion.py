@@ -325,7 +325,7 @@ class SemiParametricRecursion:
 
     def _renew(self, factor: float) -> None:
         """Renew the prior of one feature weight and one coefficient in turn, of which each round
-        forgets by ``factor`` for each sample; 0: all of it.
+        forgets by ``factor`` for each sample; 0: all of it, once in the samples that are left.
 
         What the motion no longer excites would otherwise lose all information, the prior's
         included: its variance would grow without bound while the robot stands still, and the model
@@ -334,7 +334,7 @@ class SemiParametricRecursion:
         several are renewed for each sample: what waits for its turn keeps its digits.
         """
         for size, renew in ((self.n_features, self._renew_weight), (self.n_columns, self._renew_coefficient)):
-            times = max(1, ceil(size * log(1.0 / factor) / LARGEST_LOSS)) if factor else 1
+            times = max(1, ceil(size * log(1.0 / factor) / LARGEST_LOSS)) if factor else int(self._discounts < size)
             for number in range(times if size else 0):
                 renew((self._renewed * times + number) % size, factor**ceil(size / times))
         self._renewed += 1

@@ -76,9 +76,8 @@ class Samples:
             raise SemiparamError('no recordings to join: expected at least one.')
         stamps = [recordings[0].stamps]
         for recording in recordings[1:]:
-            earliest = int(stamps[-1][-1]) + PAUSE_NS
-            moved = max(earliest - int(recording.stamps[0]), 0)
-            stamps.append(recording.stamps + moved)
+            since = int(recording.stamps[0] - stamps[-1][-1])
+            stamps.append(recording.stamps if since > 0 else recording.stamps + (PAUSE_NS - since))
         position, velocity, acceleration, outputs, temperature = (
             np.concatenate([getattr(recording, name) for recording in recordings])
             for name in ('position', 'velocity', 'acceleration', 'outputs', 'temperature'))

@@ -285,7 +285,8 @@ def compare_with_peers(settings: Settings, samples: Samples, robot_description: 
         raise SemiparamError(f'the recording holds {len(samples)} samples, of which the initial window takes '
                              f'{gathered.end}; expected at least {TURN} more.')
     body = build_rigid_body(settings, robot_description)
-    columns = np.asarray(CoupledColumns(body, declared_effects(settings)).batch(samples)[0])
+    coupled = CoupledColumns(body, declared_effects(settings), settings.joint_friction)
+    columns = np.asarray(coupled.batch(samples)[0])
     window = PeerWindow(samples.inputs[gathered.indices], columns[gathered.indices], samples.outputs[gathered.indices])
     learners: list[_Turns] = []
     for variant in variants:

@@ -94,8 +94,8 @@ def _judge(settings: Settings, body: RigidBody, recorded: Recorded, effects: Seq
         estimator.step(sample, bool(learn))
     if not estimator.ready:  # the robot stood still in some of them
         estimator.finish_window()
-    estimator.clear_pending()
-    if judged is not first:  # it goes on where the first one ends: what began during that one is there
-        estimator.begin_recording(int(judged.stamps[0] - (first.stamps[-1] - first.origin)))
+    # another recording goes on where the first one ends: what began during that one is there
+    since = 0 if judged is first else int(first.stamps[-1] - judged.stamps[0])
+    estimator.begin_recording(first.origin - since)
     residual = np.array([sample.outputs - estimator.step(sample, learn=False).mean for sample in judged])
     return evaluation_of(body, judged.outputs, residual, recorded.valid).as_dict()

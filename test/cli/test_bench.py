@@ -5,6 +5,10 @@ import pytest
 
 from semiparam_ros.cli.bench import MEANING
 from semiparam_ros.experiments.benchmark import SIGMA, Covariance, Dense, Potter
+from semiparam_ros.experiments.scoreboard import samples_of
+from semiparam_ros.settings import Settings
+from semiparam_ros.simulation.scenario import EffectRequest, Scenario
+from semiparam_ros.simulation.simulate import simulate
 from support.commands import document, refusal
 from support.recordings import write_arm
 
@@ -120,3 +124,14 @@ def test_a_recording_hardly_longer_than_its_window_is_refused(params, tmp_path, 
     pytest.importorskip('river')
     short = write_arm(tmp_path / 'short.mcap', 120)
     assert 'expected at least 50 more' in refusal(capsys, 'bench', '--peers', short, '--params', params)
+
+
+def test_peers_get_friction_and_offsets_of_joints_as_ours():
+    """They had the bare rigid body: errors of 0.080 where ours had 0.007."""
+    peers = pytest.importorskip('semiparam_ros.experiments.peers')
+    hidden = [EffectRequest(kind, joint) for joint in ('r_elbow', 'r_shoulder_pitch')
+              for kind in ('coulomb_friction', 'effort_offset')]
+    found = simulate(Scenario(samples=800, outputs='effort', motion='mixed', effects=tuple(hidden), seed=1))
+    settings = Settings(outputs='effort', joints=found.joint_names, initial_samples=400, features_count=2)
+    ours, theirs, *_ = peers.compare_with_peers(settings, samples_of(found), found.urdf, ['P'], lambda: None)
+    assert theirs.sees == ours.sees == 'rigid body' and theirs.nmse_mean < 2.0 * ours.nmse_mean

@@ -25,7 +25,7 @@ class Dense:
         self.mean = np.concatenate([prior_mean, np.zeros(n * d)])
         self.covariance = np.diag(np.concatenate([np.square(prior_std), np.full(n * d, rho**2)]))
         self.prior_variance = np.diag(self.covariance).copy()
-        self.renewed = 0
+        self.renewed = self.left = 0
 
     def rows(self, phi, columns):
         return np.hstack([columns, np.kron(np.eye(self.n), phi)])
@@ -47,13 +47,13 @@ class Dense:
 
     def renew(self):
         """What the recursion says of its renewals: a weight given theta, and a coefficient, stay what they are."""
-        if self.d:
+        if self.d and (self.lost or self.left < self.d):
             index = self.renewed % self.d
             covariance = self.covariance
             to_theta = np.linalg.solve(covariance[:self.p, :self.p], covariance[:self.p, self.p:]).T
             rows = np.array([np.eye(self.n * self.d)[k * self.d + index] for k in range(self.n)])
             self.observe(np.hstack([-rows @ to_theta, rows]), self.prior_variance[-1] / (1 - self.lost**self.d))
-        if self.p:
+        if self.p and (self.lost or self.left < self.p):
             index = self.renewed % self.p
             self.observe(np.eye(self.p + self.n * self.d)[[index]],
                          self.prior_variance[index] / (1 - self.lost**self.p))
@@ -124,6 +124,7 @@ def check_that_it_equals_the_dense_recursion(case):
         dense.forgetting = min(case['forgetting'], 0.9) if left > max(d, p) else case['forgetting']
         dense.lost = 0.0 if left and dense.forgetting == 1.0 else dense.forgetting
         memory, left = dense.forgetting * memory + 1.0, max(left - 1, 0)
+        dense.left = left
         prior = ours.predict(*row[:2])
         expected_mean, expected_covariance = dense.predict(*row[:2])
         np.testing.assert_allclose(prior.mean, expected_mean, **SAME)
@@ -380,3 +381,19 @@ def test_what_is_forgotten_and_renewed_of_the_prior_does_not_count_as_samples(fo
     np.testing.assert_allclose(white, models[0].theta_covariance(), rtol=1e-9, atol=1e-14)
     np.testing.assert_allclose(fewer[2, 2], white[2, 2])
     assert np.linalg.eigvalsh(fewer).min() > 0.0
+
+
+@pytest.mark.parametrize(('d', 'p'), [(40, 3), (3, 40)])
+def test_a_change_renews_each_prior_once(d, p, monkeypatch):
+    """Of 40 features and 3 columns the prior of a column came back 13 times."""
+    monkeypatch.setattr(recursion_module, 'KEPT', 100.0)
+    renewed = []
+    for name in ('_renew_weight', '_renew_coefficient'):
+        monkeypatch.setattr(SemiParametricRecursion, name,
+                            lambda model, index, kept, name=name: kept or renewed.append((name, index)))
+    model = SemiParametricRecursion(2, d, np.ones(p), 1.0, 0.1)
+    run(model, *problem(0, 200, 2, d, p))
+    model.follow_change()
+    run(model, *problem(1, 200, 2, d, p))
+    assert sorted(renewed) == [('_renew_coefficient', index) for index in range(p)] + \
+        [('_renew_weight', index) for index in range(d)]

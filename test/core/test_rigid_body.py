@@ -20,11 +20,13 @@ from semiparam_ros.core.robot.frames import (
     unit_maps,
 )
 from semiparam_ros.core.robot.rigid_body import RigidBody
+from semiparam_ros.core.robot.size import reach_of, size_of
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online.desired_state import joint_torques
 from support.arms import (
     ICUB_JOINTS,
+    ICUB_OWN,
     ICUB_SENSOR,
     ODD_ARM,
     ODD_JOINTS,
@@ -65,6 +67,31 @@ def test_wrench_in_the_middle_of_the_real_arm_equals_rnea_and_idyntree(icub_full
             wrench, pinocchio_link_wrench(icub_full, ICUB_JOINTS, ICUB_SENSOR, locked, *state), **EXACT)
         np.testing.assert_allclose(
             wrench, idyntree_wrench_and_efforts(icub_full, ICUB_JOINTS, 'r_upper_arm', locked, *state)[0], **EXACT)
+
+
+@pytest.mark.parametrize('neck', ['a_neck', 'z_neck'])
+def test_a_branch_that_the_sensor_does_not_feel_changes_nothing(neck):
+    """The joints beyond the sensor were taken for the last ones of the robot: of half of all branched ones."""
+    head = link('head', 2.0) + joint(neck, 'revolute', 'chest', 'head')
+    urdf = ICUB_OWN.read_text().replace('</robot>', f'{head}</robot>')
+    body = RigidBody.from_urdf(urdf, (*ICUB_JOINTS, neck), 'wrench', ICUB_SENSOR)
+    motion = np.moveaxis(states(5, FEW + 1), 1, 0)
+    samples = Samples(np.arange(FEW + 1), *motion, np.zeros((FEW + 1, 6)), 0)
+    expected = [predicted(icub(), state[:, :4]) for state in motion.swapaxes(0, 1)]
+    np.testing.assert_allclose([predicted(body, state) for state in motion.swapaxes(0, 1)], expected, **EXACT)
+    np.testing.assert_allclose(body.regressors(samples) @ body.base_parameters, expected, **EXACT)
+    np.testing.assert_allclose(body.outputs_of(samples, body.base_parameters), expected, **EXACT)
+
+
+@pytest.mark.parametrize('neck', ['a_neck', 'z_neck'])
+def test_a_robot_is_as_heavy_as_all_of_its_branches_and_as_long_as_the_longest(neck):
+    """Only the first one by name counted, and all of their lengths were one reach."""
+    own = RigidBody.from_urdf(ICUB_OWN.read_text(), ICUB_JOINTS, 'effort')
+    head = link('head', 0.1, '0 0 0') + joint(neck, 'revolute', 'chest', 'head')
+    body = RigidBody.from_urdf(ICUB_OWN.read_text().replace('</robot>', f'{head}</robot>'), (*ICUB_JOINTS, neck),
+                               'effort')
+    assert size_of(body) == pytest.approx((size_of(own).mass + 0.1, size_of(own).length))
+    assert reach_of(body) == pytest.approx(reach_of(own))
 
 
 def test_wrench_of_the_bundled_arm_equals_that_of_the_whole_robot(icub_full):

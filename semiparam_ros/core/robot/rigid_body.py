@@ -67,14 +67,14 @@ def check_locked(joints: Sequence[str], locked: Mapping[str, float]) -> None:
 
 
 def hung(arm: pin.Model, distal: pin.Model) -> pin.Model:
-    """The distal bodies on the arm, by a free joint where the sensor is; their joints follow those of the arm."""
-    hanging = distal.copy()
-    for frame in hanging.frames:
-        frame.name = f'distal {frame.name}'
-    for joint in range(1, hanging.njoints):
-        hanging.names[joint] = f'distal {hanging.names[joint]}'
-    model = pin.appendModel(arm, hanging, arm.getFrameId(SENSOR), pin.SE3.Identity())
-    model.gravity.linear = arm.gravity.linear
+    """The distal bodies on the arm, by a free joint where the sensor is; their joints stand after all of the arm's."""
+    model, sensor, before = arm.copy(), arm.frames[arm.getFrameId(SENSOR)], arm.njoints - 1
+    for number in range(1, distal.njoints):
+        parent, placement = distal.parents[number] + before, distal.jointPlacements[number]
+        if number == 1:
+            parent, placement = sensor.parentJoint, sensor.placement * placement
+        joint = model.addJoint(parent, distal.joints[number], placement, f'distal {distal.names[number]}')
+        model.appendBodyToJoint(joint, distal.inertias[number], pin.SE3.Identity())
     return model
 
 

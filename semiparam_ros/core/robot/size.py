@@ -51,16 +51,15 @@ def arm_size(body: RigidBody) -> Size:
 
 
 def _size(model: pin.Model) -> Size:
-    found = _beyond(model, 1)
-    length = max(found.length, LEAST_LENGTH)
-    return Size(max(found.mass or MASS_PER_LENGTH * length, LEAST_MASS), length)
+    branches = [_beyond(model, joint) for joint in range(1, model.njoints) if not model.parents[joint]]
+    length = max(*(branch.length for branch in branches), LEAST_LENGTH)
+    return Size(max(sum(branch.mass for branch in branches) or MASS_PER_LENGTH * length, LEAST_MASS), length)
 
 
 @lru_cache(maxsize=16)
 def reach_of(body: RigidBody) -> float:
     """[m] how long the whole arm is when stretched out, whatever of it the outputs feel."""
-    steps = [float(np.linalg.norm(placement.translation)) for placement in body.arm.jointPlacements]
-    return max(sum(steps), LEAST_LENGTH)
+    return max(*(_way(body.arm, joint) for joint in range(1, body.arm.njoints)), LEAST_LENGTH)
 
 
 @lru_cache(maxsize=256)
@@ -72,11 +71,17 @@ def size_beyond(body: RigidBody, joint: str) -> Size:
 
 def _beyond(model: pin.Model, first: int) -> Size:
     carried = [index for index in range(first, model.njoints) if first in model.supports[index]]
-    mass = sum(float(model.inertias[index].mass) for index in carried)
-    steps = sum(float(np.linalg.norm(model.jointPlacements[index].translation)) for index in carried if index != first)
-    last = max((float(np.linalg.norm(frame.placement.translation)) for frame in model.frames
-                if frame.parentJoint == carried[-1]), default=0.0)
-    return Size(mass, steps + last)
+    ends = set(carried) - {model.parents[index] for index in carried}
+    lasts = {end: max((float(np.linalg.norm(frame.placement.translation)) for frame in model.frames
+                       if frame.parentJoint == end), default=0.0) for end in ends}
+    return Size(sum(float(model.inertias[index].mass) for index in carried),
+                max(_way(model, end, first) + last for end, last in lasts.items()))
+
+
+def _way(model: pin.Model, last: int, first: int = 0) -> float:
+    """[m] from a joint to the last of those that it carries."""
+    between = [joint for joint in model.supports[last] if joint > first]
+    return sum(float(np.linalg.norm(model.jointPlacements[joint].translation)) for joint in between)
 
 
 @lru_cache(maxsize=1024)
