@@ -219,7 +219,7 @@ class History:
         for number in range(len(batch)):
             if _far(int(stamps[number]), self._bridged):
                 one = batch.part(number, number + 1)
-                self._bridge.extend(replace(one, rows=[Rows(*map(np.copy, rows)) for rows in one.rows]))
+                self._bridge.extend(replace(one, rows=[Rows(*(each.copy() for each in rows)) for rows in one.rows]))
                 self._bridged = int(stamps[number])
 
     @property
