@@ -61,7 +61,10 @@ class CarryOver:
         return self._passed % CHARGED_EVERY == 0
 
     def wants_coefficients(self, stamp: int) -> bool:
-        """Tell whether a block ends with the sample of ``stamp`` [ns], and another one begins."""
+        """Tell whether a block ends with the sample of ``stamp`` [ns], and another one begins; one
+        in which the clock jumped back is dropped."""
+        if stamp < self._since:
+            self.interrupt()
         return not self._frozen or stamp - self._since >= BLOCK_NS
 
     def begin_block(self, stamp: int, coefficients: Sequence[Coefficients]) -> None:

@@ -201,8 +201,6 @@ class Estimator:
         sample = prediction.sample
         self.model.recursion.require_current(prediction.members[0].prior)
         require_finite('outputs', sample.outputs)
-        if self._has_jumped(sample.stamp):
-            self.clear_horizons()
         self._go_on_from(prediction)
         if learn and (prediction.beyond or not len(self.inputs_learnt)):
             self.inputs_learnt = widened(self.inputs_learnt, sample.inputs)

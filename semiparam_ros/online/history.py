@@ -42,6 +42,10 @@ class Rows(NamedTuple):
         """Some of them, not copied."""
         return Rows(self.stamps[chosen], self.values[chosen], self.learnt[chosen], self.temperature[chosen])
 
+    def copy(self) -> Rows:
+        """The same, which keep nothing else in memory."""
+        return Rows(self.stamps.copy(), self.values.copy(), self.learnt.copy(), self.temperature.copy())
+
 
 @dataclass(frozen=True)
 class SampleBatch:
@@ -219,7 +223,7 @@ class History:
         for number in range(len(batch)):
             if _far(int(stamps[number]), self._bridged):
                 one = batch.part(number, number + 1)
-                self._bridge.extend(replace(one, rows=[Rows(*(each.copy() for each in rows)) for rows in one.rows]))
+                self._bridge.extend(replace(one, rows=[rows.copy() for rows in one.rows]))
                 self._bridged = int(stamps[number])
 
     @property

