@@ -40,12 +40,6 @@ class Poses(NamedTuple):
         """Velocity (N, 6) of the frame, linear [m/s] before angular [rad/s]."""
         return np.asarray(np.einsum('nkj,nj->nk', self.jacobian, joint_velocity))
 
-    def shifted(self, offset: Array) -> Poses:
-        """The frame moved by ``offset`` (3,) [m] in its own axes."""
-        arm = self.rotation @ offset
-        linear = self.jacobian[:, :3] + np.cross(self.jacobian[:, 3:], arm[:, :, None], axisa=1, axisb=1, axisc=1)
-        return Poses(self.rotation, self.place + arm, np.concatenate([linear, self.jacobian[:, 3:]], axis=1))
-
 
 def poses(model: pin.Model, joint: int, placement: pin.SE3, columns: Sequence[int], position: Array) -> Poses:
     """Poses of a frame fixed to ``joint`` by ``placement``; ``columns`` places the joints in the model."""

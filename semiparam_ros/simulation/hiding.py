@@ -104,7 +104,6 @@ class Hidden:
 
     cause: HiddenCause
     magnitude: float
-    size: float
     world: World
     truth: dict[str, Any]
 
@@ -169,8 +168,8 @@ def _sized(cause: HiddenCause, world: World, without: Array, size: float, scale:
         magnitude = scaled_magnitude(share_at(cause.typical), SHARE_OF_SIZE * size, cause.typical, cause.kind)
     else:
         magnitude = solve_magnitude(share_at, SHARE_OF_SIZE * size, cause.typical, cause.kind)
-    hidden = Hidden(cause, magnitude, size, cause.apply(world, magnitude), {})
-    return Hidden(cause, magnitude, size, hidden.world,
+    hidden = Hidden(cause, magnitude, cause.apply(world, magnitude), {})
+    return Hidden(cause, magnitude, hidden.world,
                   described(hidden, hidden.world.outputs - without, scale, fit))
 
 
