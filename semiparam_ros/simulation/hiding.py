@@ -141,7 +141,7 @@ def hide(world: World, effect: EffectRequest, scale: Array, fit: RigidBodyFit, r
     drawn: list[Hidden] = []
     without = world.outputs
     for _ in range(DRAWS):
-        site = Site(world, scale, effect.where, effect.start_s, rng)
+        site = Site(world, scale, effect.where, effect.start_s, effect.end_s, rng)
         cause = replace(cause_of(effect.kind, world.arm.outputs).draw(site), end_s=effect.end_s)
         drawn.append(_sized(cause, world, without, effect.size, scale, fit))
         if drawn[-1].truth['unexplained_share'] >= VISIBLE * drawn[-1].truth['rms_share']:
