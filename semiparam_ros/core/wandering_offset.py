@@ -11,8 +11,8 @@ the steady state of the Kalman filter of an offset that wanders and slowly retur
 (exponential smoothing). g = 0 is the model alone. The filters are mixed by their evidence
 (:mod:`semiparam_ros.core.mixture`), with Student's t for the densities.
 
-Only samples that are learnt are followed. While others go by, as in a contact or at rest, the
-offsets return to zero.
+Only samples that are learnt are followed. While others go by, as in a contact, the offsets return to
+zero; at rest they stay.
 """
 
 from __future__ import annotations

@@ -104,7 +104,6 @@ class Hidden:
 
     cause: HiddenCause
     magnitude: float
-    size: float
     world: World
     truth: dict[str, Any]
 
@@ -142,7 +141,7 @@ def hide(world: World, effect: EffectRequest, scale: Array, fit: RigidBodyFit, r
     drawn: list[Hidden] = []
     without = world.outputs
     for _ in range(DRAWS):
-        site = Site(world, scale, effect.where, effect.start_s, rng)
+        site = Site(world, scale, effect.where, effect.start_s, effect.end_s, rng)
         cause = replace(cause_of(effect.kind, world.arm.outputs).draw(site), end_s=effect.end_s)
         drawn.append(_sized(cause, world, without, effect.size, scale, fit))
         if drawn[-1].truth['unexplained_share'] >= VISIBLE * drawn[-1].truth['rms_share']:
@@ -169,8 +168,8 @@ def _sized(cause: HiddenCause, world: World, without: Array, size: float, scale:
         magnitude = scaled_magnitude(share_at(cause.typical), SHARE_OF_SIZE * size, cause.typical, cause.kind)
     else:
         magnitude = solve_magnitude(share_at, SHARE_OF_SIZE * size, cause.typical, cause.kind)
-    hidden = Hidden(cause, magnitude, size, cause.apply(world, magnitude), {})
-    return Hidden(cause, magnitude, size, hidden.world,
+    hidden = Hidden(cause, magnitude, cause.apply(world, magnitude), {})
+    return Hidden(cause, magnitude, hidden.world,
                   described(hidden, hidden.world.outputs - without, scale, fit))
 
 

@@ -259,7 +259,7 @@ def test_unknown_choices_are_refused(draw, options, sentence):
 
 def test_ends_on_one_flat_top_are_polished_once():
     """Far apart in a direction that the window does not tell, and equally good; another basin is polished too."""
-    best, flat, other = (Maximum(np.array([place]), value, 30)
+    best, flat, other = (Maximum(np.array([place]), value)
                          for place, value in ((0.0, 99.9), (4.0, 99.8), (9.0, 97.0)))
     assert _distinct([best, flat]) == [best]
     assert _distinct([best, flat, other]) == [best, other]

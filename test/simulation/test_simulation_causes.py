@@ -83,6 +83,12 @@ def test_an_end_can_be_asked_for(bare, kind):
     assert np.abs(difference[inside]).max(axis=1).min() > 0.0
 
 
+def test_a_start_is_drawn_before_the_end(bare):
+    """It came after the end, and the effect was refused because it changes nothing."""
+    _, _, truth, _ = change(bare, 'payload', end_s=0.2 * seconds(bare['wrench'])[-1])
+    assert 0.0 < truth['start_s'] < truth['end_s']
+
+
 def test_a_start_can_be_asked_for(bare):
     difference, _, truth, recording = change(bare, 'viscous_drag', start_s=10.0)
     assert truth['start_s'] == 10.0

@@ -236,7 +236,6 @@ class Maximum(NamedTuple):
 
     point: Array
     value: float
-    evaluations: int
 
 
 def maximise(objective: Objective, starts: Sequence[Array], bounds: Array, method: str = 'quasi-newton',
@@ -268,7 +267,7 @@ def _quasi_newton(objective: Objective, start: Array, bounds: Array, iterations:
     found = scipy.optimize.minimize(
         descend, start, jac=True, method='L-BFGS-B', bounds=bounds,
         options={'maxiter': iterations, 'ftol': tolerance, 'gtol': 1e-7, 'maxcor': 20})
-    return Maximum(np.asarray(found.x), -float(found.fun) * unit, int(found.nfev) + 1)
+    return Maximum(np.asarray(found.x), -float(found.fun) * unit)
 
 
 def _nelder_mead(objective: Objective, start: Array, bounds: Array, iterations: int, tolerance: float) -> Maximum:
@@ -278,4 +277,4 @@ def _nelder_mead(objective: Objective, start: Array, bounds: Array, iterations: 
         lambda point: -objective(point, False)[0], start, method='Nelder-Mead', bounds=bounds,
         options={'maxiter': 20 * iterations, 'maxfev': 20 * iterations, 'initial_simplex': simplex,
                  'fatol': max(1e-3, tolerance), 'xatol': 1e-3, 'adaptive': True})
-    return Maximum(np.asarray(found.x), -float(found.fun), int(found.nfev))
+    return Maximum(np.asarray(found.x), -float(found.fun))

@@ -25,19 +25,22 @@ class TrueValue(NamedTuple):
 class Site:
     """Site for the draw of a cause: the world without it, the deviation (n,) of its outputs.
 
-    ``where`` and ``start_s`` [s] are what was requested, or None.
+    ``where``, ``start_s`` and ``end_s`` [s] are what was requested, or None.
     """
 
     world: World
     scale: Array
     where: str | None
     start_s: float | None
+    end_s: float | None
     rng: np.random.Generator
 
     def random_start(self) -> float:
-        """The requested start, or one in the second quarter of the recording or soon after [s]."""
-        share = float(self.rng.uniform(0.25, 0.6))
-        return share * self.world.duration if self.start_s is None else self.start_s
+        """The requested start, or one in the second quarter of the recording, or of the time until the end, or soon
+        after [s]."""
+        share, end = float(self.rng.uniform(0.25, 0.6)), self.world.duration
+        until = end if self.end_s is None else min(end, self.end_s)
+        return share * until if self.start_s is None else self.start_s
 
     def sign(self) -> float:
         """Sign at random, -1 or 1."""
