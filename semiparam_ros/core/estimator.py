@@ -321,11 +321,14 @@ class Estimator:
         """Forget half-finished horizons alone."""
         self.ensemble.clear_horizons()
 
-    def begin_recording(self, origin: int) -> None:
-        """Go on with another recording, whose time starts at ``origin`` [ns]; what is learnt stays."""
+    def begin_recording(self, origin: int, first: int | None = None) -> None:
+        """Go on with another recording, whose time starts at ``origin`` [ns]; what is learnt stays.
+
+        :param first: stamp [ns] of its first sample, where that may be hours after the origin.
+        """
         self.clear_pending()
         self.ensemble.leave_motion()
-        self.origin, self._newest, self.motion = origin, None, None
+        self.origin, self._newest, self.motion = origin, first, None
 
     def state(self) -> EstimatorState:
         """Copies of everything that samples have changed; :meth:`restore` takes them back bit for bit."""

@@ -334,7 +334,9 @@ class SemiParametricRecursion:
         several are renewed for each sample: what waits for its turn keeps its digits.
         """
         for size, renew in ((self.n_features, self._renew_weight), (self.n_columns, self._renew_coefficient)):
-            times = max(1, ceil(size * log(1.0 / factor) / LARGEST_LOSS)) if factor else int(self._discounts < size)
+            times = int(self._discounts < size)  # each once
+            if factor:
+                times = max(1, ceil(size * log(1.0 / factor) / LARGEST_LOSS))
             for number in range(times if size else 0):
                 renew((self._renewed * times + number) % size, factor**ceil(size / times))
         self._renewed += 1

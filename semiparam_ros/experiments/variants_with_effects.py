@@ -18,6 +18,8 @@ import numpy as np
 
 from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.robot.rigid_body import RigidBody
+from semiparam_ros.core.samples import Samples
+from semiparam_ros.core.types import Array, Mask
 from semiparam_ros.core.variants import variant_named
 from semiparam_ros.diagnosis.diagnose import Diagnosis, Recorded
 from semiparam_ros.diagnosis.evaluation import EvaluationFigures, evaluation_of
@@ -90,12 +92,20 @@ def _judge(settings: Settings, body: RigidBody, recorded: Recorded, effects: Seq
     window = min(options.initial_samples, int(recorded.fitting.sum()))
     first, judged = recorded.samples, recorded.judged
     estimator = Estimator(body, replace(options, initial_samples=window, alone=True), effects, first.origin)
-    for sample, learn in zip(recorded.samples, recorded.fitting, strict=True):
-        estimator.step(sample, bool(learn))
+    _errors(estimator, first, first.origin, recorded.fitting)
     if not estimator.ready:  # the robot stood still in some of them
         estimator.finish_window()
     # another recording goes on where the first one ends: what began during that one is there
     since = 0 if judged is first else int(first.stamps[-1] - judged.stamps[0])
-    estimator.begin_recording(first.origin - since)
-    residual = np.array([sample.outputs - estimator.step(sample, learn=False).mean for sample in judged])
+    residual = _errors(estimator, judged, first.origin - since, np.zeros(len(judged), dtype=bool))
     return evaluation_of(body, judged.outputs, residual, recorded.valid).as_dict()
+
+
+def _errors(estimator: Estimator, samples: Samples, origin: int, learnt: Mask) -> Array:
+    """(N, n) what is left of samples, of which those ``learnt`` (N,) are; each recording begins afresh."""
+    begin, errors = {int(samples.stamps[0]), *samples.breaks}, []
+    for sample, learn in zip(samples, learnt, strict=True):
+        if sample.stamp in begin:
+            estimator.begin_recording(origin, sample.stamp)
+        errors.append(sample.outputs - estimator.step(sample, bool(learn)).mean)
+    return np.array(errors)

@@ -1,7 +1,10 @@
 """Variants without and with the effects found, judged where the diagnosis judged."""
 
+from dataclasses import replace
+
 import numpy as np
 
+from semiparam_ros.core.samples import Samples
 from semiparam_ros.diagnosis.diagnose import Recorded
 from semiparam_ros.effects.registry import effect_from_text
 from semiparam_ros.experiments.scoreboard import body_of, samples_of
@@ -11,13 +14,33 @@ from semiparam_ros.simulation.scenario import EffectRequest, Scenario
 from semiparam_ros.simulation.simulate import simulate
 
 
+def judged(effects, load, fitting):
+    """Errors of P in the parts that do not fit, where a load is hidden, without effects and with these."""
+    samples, body = load
+    settings, parts = Settings(variant='P', initial_samples=300), Recorded(samples, fitting, samples, ~fitting)
+    return [_judge(settings, body, parts, [effect_from_text(text) for text in each])['nmse_mean']
+            for each in ((), effects)]
+
+
+def recorded(seed, **effect):
+    hidden = (EffectRequest('payload', 'r_hand', 3.0, **effect),) if effect else ()
+    made = simulate(Scenario(samples=900, effects=hidden, seed=seed, robot_seed=1))
+    return samples_of(made), body_of(made)
+
+
+FITTING = np.arange(900) // 50 % 3 != 1
+
+
 def test_parts_of_the_same_recording_are_judged_at_their_own_time():
     """Time went on from the end: a load of the last third was there in all of them."""
-    recording = simulate(Scenario(samples=900, effects=(EffectRequest('payload', size=3.0, start_s=30.0),), seed=1))
-    body, samples = body_of(recording), samples_of(recording)
-    fitting = np.arange(900) // 50 % 3 != 1
-    load = effect_from_text(f'payload@{recording.truth[0]["where"]}{{"start_s": 30.0}}')
-    without, having = (_judge(Settings(variant='P', initial_samples=300), body,
-                              Recorded(samples, fitting, samples, ~fitting), effects)['nmse_mean']
-                       for effects in ((), (load,)))
+    without, having = judged(['payload@r_hand{"start_s": 30.0}'], recorded(1, start_s=30.0), FITTING)
+    assert having < 0.002 < 0.02 < without
+
+
+def test_recordings_of_two_days_are_judged_at_their_own_times():
+    """A day between two was a jump of the clock: what began with the second one never did."""
+    (one, body), (two, _) = recorded(1), recorded(1, start_s=0.0)
+    day = 86_400.0
+    both = Samples.joined([one, replace(two, stamps=two.stamps + int(day * 1e9))])
+    without, having = judged([f'payload@r_hand{{"start_s": {day}}}'], (both, body), np.tile(FITTING, 2))
     assert having < 0.002 < 0.02 < without
