@@ -35,6 +35,9 @@ lint: setup
 test: setup
 	@$(MAKE) --no-print-directory --jobs=2 lint suite docs
 
+# The longest files first: begun last, they would run alone.
+PYTEST ?= test/test_docs.py test/diagnosis/test_diagnosis.py test/ros/test_outside_faults.py test
+
 # Three at a time on two cores: tests of live nodes mostly wait. What numba compiles is compiled once before, not by each.
 suite: setup
 	$(BIN)/python -c 'import semiparam_ros.diagnosis.diagnose, semiparam_ros.ros.estimator.node'
