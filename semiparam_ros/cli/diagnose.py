@@ -151,9 +151,10 @@ def write_parameters(path: Path, settings: Settings, diagnosis: Diagnosis) -> No
     from semiparam_ros.effects import effects_to_parameters
     from semiparam_ros.settings import dump_params
 
-    effects, reference = effects_to_parameters(diagnosis.standing)
+    standing = diagnosis.standing
+    effects, reference = effects_to_parameters(standing)
     dump_params(replace(settings, effects=effects, effects_reference=reference), path,
-                remarks={'effects': [remarks(diagnosis, effect) for effect in diagnosis.standing]})
+                remarks={'effects': [remarks(diagnosis, effect) for effect in standing]})
 
 
 def _evaluate_variants(args: argparse.Namespace, settings: Settings, diagnosis: Diagnosis) -> dict[str, VariantErrors]:

@@ -61,15 +61,12 @@ class CarryOver:
         return self._passed % CHARGED_EVERY == 0
 
     def wants_coefficients(self, stamp: int) -> bool:
-        """Tell whether a block ends with the sample of ``stamp`` [ns], and another one begins; one
-        in which the clock jumped back is dropped."""
-        if stamp < self._since:
-            self.interrupt()
-        return not self._frozen or stamp - self._since >= BLOCK_NS
+        """Tell whether a block ends with the sample of ``stamp`` [ns], and another one begins."""
+        return not self._frozen or not 0 <= stamp - self._since < BLOCK_NS
 
     def begin_block(self, stamp: int, coefficients: Sequence[Coefficients]) -> None:
-        """The next block is predicted from these."""
-        if self._charged >= FEWEST:
+        """The next block is predicted from these; one in which the clock jumped back is dropped."""
+        if self._charged >= FEWEST and stamp >= self._since:
             self._blocks[self._finished % BLOCKS] = np.maximum(self._sums / self._charged, LEAST_SQUARE)
             self._finished += 1
         self.interrupt()

@@ -51,11 +51,9 @@ def wandering(
     count, n = moments.shape[:2]
     found = np.zeros((n, len(WANDERS), len(ends), len(kappa), count))
     for output in range(n):
+        gram, moment = (np.ascontiguousarray(each[:, output]) for each in (grams, moments))
         for each, share in zip(found[output], WANDERS, strict=True):
-            _filter_back(
-                np.ascontiguousarray(grams[:, output]), np.ascontiguousarray(moments[:, output]),
-                1.0 / variance[output], share**-2.0, np.ascontiguousarray(kappa), ends, each,
-            )
+            _filter_back(gram, moment, 1.0 / variance[output], share**-2.0, kappa, ends, each)
     return np.moveaxis(found, (0, -1), (-1, 0))
 
 

@@ -167,6 +167,11 @@ def declare(fit: Fit, effects: list[Effect]) -> Fit:
     return calibrated(fit, [effect for effect in fit.effects if effect.is_calibration])
 
 
+def remaining(fit: Fit, kept: Sequence[Effect]) -> Fit:
+    """The model with those of its effects that are ``kept`` alone, settled anew."""
+    return declare(with_effects(fit, following(kept, fit.effects)), [])
+
+
 def calibrated(fit: Fit, calibrations: list[Effect]) -> Fit:
     """The model with these calibrations settled, and the weights those of what that leaves.
 

@@ -8,7 +8,7 @@ from collections.abc import Callable, Collection
 from semiparam_ros.diagnosis.regression import Fit, with_effects
 from semiparam_ros.diagnosis.search.candidates import Place, held, identity, others
 from semiparam_ros.diagnosis.search.plausibility import all_plausible, price, prices, usual
-from semiparam_ros.diagnosis.search.refit import declare, following, settled
+from semiparam_ros.diagnosis.search.refit import declare, remaining, settled
 from semiparam_ros.diagnosis.search.score import Gain, gain, worth
 from semiparam_ros.diagnosis.search.scoring import coarse_trial, line_searched
 
@@ -95,4 +95,4 @@ def pruned(fit: Fit, fixed: Collection[Place], kinds: Collection[str],
             return fit
         gone = {number for total, number in weak if total < 0.0} or {min(weak)[1]}
         kept = [effect for number, effect in enumerate(fit.effects) if number not in gone]
-        fit = declare(with_effects(fit, following(kept, fit.effects)), [])
+        fit = remaining(fit, kept)

@@ -24,6 +24,7 @@ import numpy as np
 
 from semiparam_ros.core.robot.size import reach_of
 from semiparam_ros.core.types import Array, Indices
+from semiparam_ros.diagnosis.config import DiagnosisConfig
 from semiparam_ros.diagnosis.data.recordings import breaks_s
 from semiparam_ros.diagnosis.regression import Fit
 from semiparam_ros.diagnosis.search.candidates import added_columns, identity
@@ -180,15 +181,15 @@ def _views(fit: Fit) -> list[Indices]:
 
 def repetition(fit: Fit) -> Array:
     """(n,) how many samples of each channel count as one: those over which the model's residual stays alike."""
-    return coarsened(fit.correlation, fit)
+    return coarsened(fit.correlation, fit.counts, fit.config)
 
 
-def coarsened(correlation: Array, fit: Fit) -> Array:
-    """(n,) correlation times [samples] of something that a model leaves, the longer the more samples there are. No
-    model of a robot is exactly true, so its evidence does not grow without limit (coarsened posterior; Miller and
-    Dunson 2019, Journal of the American Statistical Association 114)."""
-    independent = float((fit.counts / correlation).sum())
-    return np.asarray(correlation * (1.0 + independent / fit.config.coarseness))
+def coarsened(correlation: Array, counts: Array, config: DiagnosisConfig) -> Array:
+    """(n,) correlation times [samples] of what a model leaves of ``counts`` (n,) samples, the longer the more there
+    are. No model of a robot is exactly true, so its evidence does not grow without limit (coarsened posterior; Miller
+    and Dunson 2019, Journal of the American Statistical Association 114)."""
+    independent = float((counts / correlation).sum())
+    return np.asarray(correlation * (1.0 + independent / config.coarseness))
 
 
 def _densities(fit: Fit, correlation: Array, gone: Indices) -> Array:
