@@ -17,12 +17,11 @@ from semiparam_ros.core.robot.joint_friction import (
     friction_scale,
 )
 from semiparam_ros.core.robot.rigid_body import RigidBody
-from semiparam_ros.core.robot.size import base_scale
+from semiparam_ros.core.robot.size import base_scale, bias_scale
 from semiparam_ros.core.samples import NO_TEMPERATURE, Sample, Samples
 from semiparam_ros.core.types import Array, Indices
 from semiparam_ros.errors import SemiparamError
 
-OFFSET_PRIOR_SCALE = 100.0
 Memory: TypeAlias = object
 """What an effect remembers of earlier samples: None, numbers, texts, arrays, or tuples, lists and
 dicts of them, never changed in place; a saved state holds it."""
@@ -199,7 +198,7 @@ class CoupledColumns:
         ``physical``, wide for the offset of a wrench, of the joint's size for friction and offset
         of an effort."""
         rigid = base_scale(self.body) if self.physical else np.ones(self.body.n_parameters)
-        joints = [np.full(self._offset.shape[1], OFFSET_PRIOR_SCALE)]
+        joints = [bias_scale(self.body)] if self.has_offset else []
         if self.has_friction:
             joints = [friction_prior(self.body), friction_scale(self.body)]
         return np.concatenate([rigid, *joints, *self._effect_scales])

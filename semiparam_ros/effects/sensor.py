@@ -8,8 +8,9 @@ from typing import ClassVar
 import numpy as np
 import pinocchio as pin
 
-from semiparam_ros.core.columns import OFFSET_PRIOR_SCALE, Memory
+from semiparam_ros.core.columns import Memory
 from semiparam_ros.core.robot.rigid_body import RigidBody
+from semiparam_ros.core.robot.size import bias_scale
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array
 from semiparam_ros.effects.base import (
@@ -36,8 +37,8 @@ class ChannelEffect(Effect):
         return channel_units(body, self.per)
 
     def prior_scale(self, body: RigidBody) -> Array:
-        """Prior (6,) of a wrench's offset: a bias has nothing to do with the arm's weight."""
-        return np.full(N_CHANNELS, OFFSET_PRIOR_SCALE)
+        """Prior (6,) of a wrench's offset."""
+        return bias_scale(body)
 
     def profile(self, time: Array) -> Array:
         """Function (N,) of the time (N,) [s] that every channel follows."""

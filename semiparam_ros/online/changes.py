@@ -60,7 +60,7 @@ import numpy as np
 from semiparam_ros.core.columns import CoupledColumns
 from semiparam_ros.core.model import Model
 from semiparam_ros.core.prediction import Prediction
-from semiparam_ros.core.robot.external_wrench import ExternalWrench
+from semiparam_ros.core.robot.external_wrench import ExternalWrench, push_wrench
 from semiparam_ros.core.robot.frames import last_link
 from semiparam_ros.core.robot.small_turns import small_turns
 from semiparam_ros.core.stamps import observed_s
@@ -83,7 +83,7 @@ from semiparam_ros.online.contact_gate import (
     Tail,
 )
 from semiparam_ros.online.identified_parameters import Load
-from semiparam_ros.online.wandering_contact import WRENCH, contact_scale, edge_sums, wandering
+from semiparam_ros.online.wandering_contact import contact_scale, edge_sums, wandering
 
 BLOCK_S = 0.25
 LENGTHS = (2, 4, 8, 16, 32)
@@ -297,6 +297,7 @@ class ChangeDetector:
         self._hand = ExternalWrench(body, last_link(body))
         self._turns, self._rigid = small_turns(body), columns.blocks['rigid_body']
         self._names, self._felt_scale = body.output_names, contact_scale(body)
+        self._push = push_wrench(body)
         self._load_scale = load_scale(body, str(self.causes[0].where))
         self._joints = body.output_index if body.outputs == 'effort' else None
         self.number = told
@@ -780,7 +781,7 @@ class ChangeDetector:
         each = wandering(*edge_sums(own), scale[:, None], kappa, ends)
         each = (np.logaddexp(each, 0.0) - log(2.0)).sum(axis=-1)  # each output feels it or not
         grams, moments = (np.array(sums) for sums in zip(*(b.wrench for b in blocks), strict=True))
-        at_hand = wandering(grams[:, None], moments[:, None], WRENCH[None] ** 2, kappa, ends)
+        at_hand = wandering(grams[:, None], moments[:, None], self._push[None] ** 2, kappa, ends)
         return np.asarray(np.maximum(each, at_hand[..., 0]).max(axis=1))
 
     def contact_rather(self, row: int, came: bool, since: int, shares: Array) -> bool:

@@ -36,9 +36,9 @@ from semiparam_ros.core.columns import Memory
 from semiparam_ros.core.compiled import Vector, compiled
 from semiparam_ros.core.prediction import Prediction
 from semiparam_ros.core.robot.contact_place import ContactPlace
-from semiparam_ros.core.robot.external_wrench import FORCE_N
 from semiparam_ros.core.robot.frames import force_maps
 from semiparam_ros.core.robot.rigid_body import RigidBody
+from semiparam_ros.core.robot.size import push_force
 from semiparam_ros.core.stamps import NANOSECONDS, observed_s
 from semiparam_ros.core.types import Array, Indices, Mask
 from semiparam_ros.settings.parameter_table import Table
@@ -291,7 +291,7 @@ class ContactGate:
     def __init__(self, n_outputs: int, joints: Indices | None = None,
                  forces: Callable[[Array], Array] | None = None, place: ContactPlace | None = None) -> None:
         """:param joints: (n_outputs,) numbers of the joints whose efforts are the outputs; None of a wrench.
-        :param forces: (n_places, n, 3) outputs caused by unit forces at places on the links, at positions (n_joints,);
+        :param forces: (n_places, n, 3) outputs that a push causes at places on the links, at positions (n_joints,);
             every innovation is plausible without it.
         :param place: told of every sample that feels a contact; it begins anew with each of them.
         """
@@ -310,7 +310,7 @@ class ContactGate:
     @classmethod
     def of(cls, body: RigidBody) -> ContactGate:
         """The gate of a robot's outputs."""
-        return cls(body.n_outputs, body.output_index if body.outputs == 'effort' else None, partial(force_maps, body),
+        return cls(body.n_outputs, body.output_index if body.outputs == 'effort' else None, partial(push_maps, body),
                    ContactPlace(body))
 
     def forget(self) -> None:
@@ -601,17 +601,22 @@ class ContactGate:
                 band.restore(band.peaks[:0])
 
 
+def push_maps(body: RigidBody, position: Array) -> Array:
+    """(2 n_links, n, 3) outputs caused by the forces of a push, as :func:`force_maps` has them of unit forces."""
+    return push_force(body) * force_maps(body, position)
+
+
 def explained(ratio: Array, maps: Array) -> Array:
     """(n,) how much of innovations (n,), in units of their usual peaks, a push explains: a force at
     one of the links.
 
-    :param maps: (n_places, n, 3) the same caused by unit forces [1/N].
+    :param maps: (n_places, n, 3) the same caused by the forces of a push.
 
     It is the posterior mean of what a Gaussian force brings about, beside noise of unit variance,
     of whichever place explains most of an output.
     """
     # By the singular values: the covariance may be singular to rounding.
-    left, stretch, _ = np.linalg.svd(FORCE_N * maps, full_matrices=False)
+    left, stretch, _ = np.linalg.svd(maps, full_matrices=False)
     along = np.swapaxes(left, 1, 2) @ ratio
     shares = stretch**2 / (stretch**2 + 1.0)
     return np.asarray(np.abs((left @ (shares * along)[:, :, None])[:, :, 0]).max(axis=0))

@@ -11,23 +11,20 @@ from __future__ import annotations
 import numpy as np
 
 from semiparam_ros.core.compiled import Integers, Matrix, Part, Stack, Vector, compiled
-from semiparam_ros.core.robot.external_wrench import FORCE_N, LEVER_M
 from semiparam_ros.core.robot.rigid_body import RigidBody
-from semiparam_ros.core.robot.size import reach_of, size_beyond
+from semiparam_ros.core.robot.size import push_force, reach_of, size_beyond
 from semiparam_ros.core.types import Array, Indices
 
 WANDERS = (0.3, 0.1, 0.03)
 """[shares of its prior's standard deviation] What acts in a contact changes so much from block to
 block."""
-WRENCH = np.repeat([FORCE_N, FORCE_N * LEVER_M], 3)
-"""[N, N m] (6,) standard deviation of what acts at the hand in a contact."""
 
 
 def contact_scale(body: RigidBody) -> Array:
     """(n,) standard deviation of what an output feels of a contact anywhere."""
     if body.outputs == 'wrench':
-        return FORCE_N * np.repeat([1.0, reach_of(body)], 3)
-    return FORCE_N * np.array([size_beyond(body, joint).length for joint in body.output_names])
+        return push_force(body) * np.repeat([1.0, reach_of(body)], 3)
+    return push_force(body) * np.array([size_beyond(body, joint).length for joint in body.output_names])
 
 
 def edge_sums(own: Array) -> tuple[Array, Array]:

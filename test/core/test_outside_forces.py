@@ -8,7 +8,7 @@ import pinocchio as pin
 import pytest
 
 from semiparam_ros.core.robot.contact_place import ContactPlace
-from semiparam_ros.core.robot.external_wrench import FORCE_N, LEVER_M, ExternalWrench
+from semiparam_ros.core.robot.external_wrench import ExternalWrench, push_wrench
 from semiparam_ros.core.robot.frames import force_maps, last_link
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.robot.tools import Tools, tool_from_text
@@ -108,7 +108,7 @@ def test_what_a_short_arm_does_not_feel_keeps_the_deviation_of_a_push_and_is_tol
     external = ExternalWrench(body, 'ft')
     position = np.array([0.3, 0.4])
     found = external.of(Leaves(position, np.full(2, 0.01)), np.array([0.5, -0.2]), ONE)
-    values = np.linalg.eigvalsh(found.covariance / np.outer(*2 * [np.repeat((FORCE_N, FORCE_N * LEVER_M), 3)]))
+    values = np.linalg.eigvalsh(found.covariance / np.outer(*2 * [push_wrench(body)]))
     assert (values > 0.999).sum() == 4 and (values < 1e-4).sum() == 2
     assert external.outputs_of(position) @ found.wrench == pytest.approx([0.5, -0.2], rel=1e-3)
     assert external.unseen(found).endswith(' at ft') and 'force' in external.unseen(found)

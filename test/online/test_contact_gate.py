@@ -9,7 +9,6 @@ from scipy.signal import lfilter
 from semiparam_ros.core.motion import at_start
 from semiparam_ros.core.prediction import Prediction
 from semiparam_ros.core.recursion import Prior
-from semiparam_ros.core.robot.external_wrench import FORCE_N
 from semiparam_ros.core.samples import Sample
 from semiparam_ros.online.contact_gate import ContactGate, explained
 from semiparam_ros.settings import Settings
@@ -178,7 +177,7 @@ def test_a_joint_that_moves_for_the_first_time_does_not_touch_and_is_judged_late
 @pytest.mark.parametrize(('sigmas', 'by_friction'), [(8.0, False), (20.0, True)])
 def test_what_no_force_at_a_link_brings_about_counts_half(sigmas, by_friction):
     """Forces at the only link are felt by the first two outputs in equal parts of their scales; the third has none."""
-    maps = np.array([[[1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]]]) * SCALES[:, None]
+    maps = 100.0 * np.array([[[1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]]]) * SCALES[:, None]
     for shape, found in (((1.0, 1.0, 0.0), True), ((0.0, 0.0, 1.0), by_friction)):
         stand = Stand(forces=lambda position: maps)
         stand.judge(white(RATE_HZ * 60))
@@ -334,9 +333,9 @@ def test_what_a_push_explains_is_told_whatever_the_usual_peaks_are():
     """Behind a dead sensor peaks were of rounding: the covariance was singular, and the sample lost."""
     rng = np.random.default_rng(0)
     ratio, maps = rng.standard_normal(6), rng.standard_normal((4, 6, 3))
-    covariance = FORCE_N**2 * maps @ maps.swapaxes(1, 2) + np.eye(6)
+    covariance = maps @ maps.swapaxes(1, 2) + np.eye(6)
     expected = np.abs(ratio - np.array([np.linalg.solve(each, ratio) for each in covariance]))
     np.testing.assert_allclose(explained(ratio, maps), expected.max(axis=0), rtol=1e-9)
-    beside_rounding = 1e13 * maps[:1, :, :1] * [1.0, 0.5, 0.25]  # of one joint, as efforts have it
+    beside_rounding = 1e15 * maps[:1, :, :1] * [1.0, 0.5, 0.25]  # of one joint, as efforts have it
     pushed = beside_rounding[0] @ np.ones(3)
     np.testing.assert_allclose(explained(pushed, beside_rounding), np.abs(pushed), rtol=1e-9)

@@ -8,8 +8,9 @@ import pytest
 from geometry_msgs.msg import WrenchStamped
 from sensor_msgs.msg import JointState
 
-from semiparam_ros.core.robot.external_wrench import FORCE_N, ExternalWrench
+from semiparam_ros.core.robot.external_wrench import ExternalWrench
 from semiparam_ros.core.robot.frames import force_maps
+from semiparam_ros.core.robot.size import push_force
 from semiparam_ros.core.robot.tools import Tools
 from semiparam_ros.experiments.evaluation import OfflineLearner
 from semiparam_ros.settings.build import build_rigid_body
@@ -110,7 +111,7 @@ def test_of_efforts_at_a_frame_of_ones_own_with_what_is_not_felt_told_and_after_
     frames = [message.header.frame_id for message in client.heard['external_wrench']]
     assert frames == ['ft'] * 60 + ['upper'] * 40 + ['ft'] * 160
     std = np.array(client.values('external_wrench_std'))
-    assert std[-1].max() > 0.5 * FORCE_N > 10 * std[-1, 3:].min()
+    assert std[-1].max() > 0.5 * push_force(BODY) > 10 * std[-1, 3:].min()
     wrench = np.array(client.values('external_wrench'))
     assert np.linalg.norm(wrench[235:260], axis=1).min() > 3 * np.linalg.norm(wrench[200:230], axis=1).mean()
     _, _, values = client.wait_report('learning', lambda level, message, values: values['in contact'] == 'True')

@@ -24,14 +24,19 @@ import pinocchio as pin
 from semiparam_ros.core.prediction import Prediction
 from semiparam_ros.core.robot.frames import as_matrix, frame_index, last_link
 from semiparam_ros.core.robot.rigid_body import RigidBody
+from semiparam_ros.core.robot.size import push_force
 from semiparam_ros.core.types import Array
 
-FORCE_N, LEVER_M = 100.0, 0.1
-"""Standard deviation along each axis of the forces that a push is expected to have, what a lever of micrometres needs
-is none; and how far from a frame, or beside a link's axis, they act."""
+LEVER_M = 0.1
+"""[m] How far from a frame, or beside a link's axis, a push acts: what a lever of micrometres needs is none."""
 UNSEEN_SHARE = 0.5
 """Of a direction whose deviation is more than this share of that before, nothing was measured."""
 NAMES = ('force x', 'force y', 'force z', 'couple x', 'couple y', 'couple z')
+
+
+def push_wrench(body: RigidBody) -> Array:
+    """[N, N m] (6,) standard deviation of the wrench that a push brings about at a frame."""
+    return push_force(body) * np.repeat([1.0, LEVER_M], 3)
 
 
 class External(NamedTuple):
@@ -59,7 +64,7 @@ class ExternalWrench:
         self.frame = frame or (str(body.sensor_frame) if at_sensor else last_link(body))
         self._index = body.sensor_index if at_sensor else frame_index(body, self.frame)
         self._at_sensor = at_sensor
-        self._expected: Array = np.repeat((FORCE_N, FORCE_N * LEVER_M), 3) ** 2
+        self._expected = push_wrench(body) ** 2
 
     def outputs_of(self, position: Array) -> Array:
         """(n, 6) A: outputs caused by unit forces and couples along the frame's axes, at positions (n_joints,)."""

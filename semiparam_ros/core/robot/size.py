@@ -23,6 +23,10 @@ LEAST_PART = 0.3
 """Of the whole arm, what counts beyond a joint at least: friction of a wrist does not come from the hand's weight."""
 WARMING = 10.0
 """[K] over which what depends on a temperature may change by as much as it is."""
+PUSH_N = 100.0
+"""[N] of a person's push."""
+LEAST_PUSH, MOST_PUSH = SHARE, 5.0
+"""Of the arm's weight, what a push is at least and at most: a toy is pushed by a finger, a press by no hand."""
 _PART = re.compile(r'(kg|N|m|s|rad|Hz|K)(?:\^(\d))?')
 
 
@@ -54,6 +58,12 @@ def _size(model: pin.Model) -> Size:
     branches = [_beyond(model, joint) for joint in range(1, model.njoints) if not model.parents[joint]]
     length = max(*(branch.length for branch in branches), LEAST_LENGTH)
     return Size(max(sum(branch.mass for branch in branches) or MASS_PER_LENGTH * length, LEAST_MASS), length)
+
+
+def push_force(body: RigidBody) -> float:
+    """[N] standard deviation along each axis of the forces that a contact is expected to have."""
+    weight = arm_size(body).weight
+    return float(np.clip(PUSH_N, LEAST_PUSH * weight, MOST_PUSH * weight))
 
 
 @lru_cache(maxsize=16)
@@ -107,6 +117,15 @@ def output_scale(body: RigidBody) -> Array:
     if body.outputs == 'effort':
         sizes = [size_beyond(body, joint) for joint in body.output_names]
     return np.array([plausible(unit, size) for unit, size in zip(body.output_units, sizes, strict=True)])
+
+
+BIAS = 100.0
+"""[N, N m] of a wrench sensor."""
+
+
+def bias_scale(body: RigidBody) -> Array:
+    """(n,) what an output's offset may be: of a small robot's sensor it has nothing to do with its weight."""
+    return np.maximum(BIAS, output_scale(body))
 
 
 LEAST_MASS_SHARE, LEAST_LENGTH_SHARE = 0.05, 0.1
