@@ -146,11 +146,12 @@ class Estimator:
     def predict(self, sample: Sample) -> Prediction:
         """Predict the outputs at the sample's inputs; nothing changes. Unknown outputs may be NaN.
 
-        Raises SemiparamError when an input is not finite.
+        Raises SemiparamError when an input is not finite, or has another shape than the robot.
         """
         return self.ensemble.predict(self._observed(sample))
 
     def _observed(self, sample: Sample) -> Observed:
+        sample = sample.in_rows(self.body.n_joints, self.body.n_outputs)
         x, outside = beyond(self.inputs_learnt, sample)
         if isnan(outside):
             require_finite('positions, velocities and accelerations', x)

@@ -38,6 +38,25 @@ class Sample(NamedTuple):
         """(m,) x = [q, dq, ddq]."""
         return np.concatenate([self.position, self.velocity, self.acceleration])
 
+    def in_rows(self, n_joints: int, n_outputs: int) -> Sample:
+        """The same, its values as arrays of floats without gaps, as compiled loops take them.
+
+        Raises SemiparamError when there are more or fewer values, or others than numbers.
+        """
+        found = {}
+        for name, value, count in zip(self._fields[1:5], self[1:5], (n_joints,) * 3 + (n_outputs,), strict=True):
+            if type(value) is np.ndarray and value.dtype == float and value.shape == (count,) \
+                    and value.flags.c_contiguous:
+                continue
+            try:
+                row = np.ascontiguousarray(value, dtype=np.float64)
+            except (TypeError, ValueError):
+                raise SemiparamError(f'{name} of a sample is no array of numbers.') from None
+            if row.shape != (count,):
+                raise SemiparamError(f'{name} of a sample has the shape {row.shape}; expected ({count},).')
+            found[name] = row
+        return self._replace(**found) if found else self
+
 
 @dataclass(frozen=True, eq=False)
 class Samples:

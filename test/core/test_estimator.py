@@ -186,12 +186,24 @@ def test_values_that_are_not_finite_are_refused_and_change_nothing(trained, reco
 
 
 @pytest.mark.parametrize('count', [1, 40])
-@pytest.mark.parametrize('field', ['position', 'velocity', 'acceleration'])
+@pytest.mark.parametrize('field', ['position', 'velocity', 'acceleration', 'outputs'])
 def test_values_of_another_number_of_joints_are_refused_and_change_nothing(trained, recording, field, count):
     model, expected, sample = trained_copy(trained), trained_copy(trained), recording[0]
-    with pytest.raises(ValueError, match=r'shape|size'):
+    with pytest.raises(SemiparamError, match=rf'^{field} of a sample has the shape \({count},\); expected'):
         model.step(sample._replace(**{field: np.ones(count)}))
     np.testing.assert_array_equal(model.step(sample).mean, expected.step(sample).mean)
+
+
+@pytest.mark.parametrize('given', [np.ndarray.tolist, lambda values: np.repeat(values[:, None], 2, axis=1)[:, 0],
+                                   lambda values: values.astype('>f8')])
+def test_values_in_any_form_are_answered_alike(trained, recording, given):
+    """Lists and columns of a matrix ended in a compiled loop, which said types and no words."""
+    model, expected = trained_copy(trained), trained_copy(trained)
+    for sample in recording[:10]:
+        other = sample._replace(**{name: given(getattr(sample, name)) for name in sample._fields[1:5]})
+        np.testing.assert_array_equal(model.step(other).mean, expected.step(sample).mean)
+    with pytest.raises(SemiparamError, match='outputs of a sample is no array of numbers'):
+        model.step(sample._replace(outputs='abc'))
 
 
 def test_horizons_start_with_the_variant_and_again_after_a_jump_of_the_clock(trained, recording):
@@ -496,7 +508,7 @@ def test_efforts_are_learnt_as_well():
 
 
 def test_before_the_window_the_description_answers(arm):
-    motion = smooth_motion(4, 3)
+    motion = replace(smooth_motion(4, 3), outputs=np.full((3, arm.n_outputs), np.nan))
     described = arm.regressors(motion) @ arm.base_parameters
     for sample, expected in zip(motion, described, strict=True):
         np.testing.assert_allclose(estimator(arm, 'NP-ML').predict(sample).mean, expected, atol=1e-9)

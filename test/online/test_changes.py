@@ -14,7 +14,7 @@ from semiparam_ros.online.changes import LENGTHS, USUAL, ChangeDetector
 from semiparam_ros.online.diagnosis_jobs import diagnose
 from semiparam_ros.online.history import batch_of
 from semiparam_ros.online.wandering_contact import WANDERS, wandering
-from support.changing_arm import LOADED_S, caught, elbow_rests, free, loaded, offered, pushed, turned
+from support.changing_arm import LOADED_S, caught, elbow_rests, free, heavier, loaded, offered, pushed, turned
 
 
 def told(body, samples):
@@ -139,6 +139,20 @@ def test_a_push_is_a_contact_and_no_change(seed, newton):
     assert not found
     assert touched[pushing].mean() > 0.9
     assert not touched[samples.time > 85.0].any()
+
+
+@pytest.mark.parametrize('times', [0.1, 1000.0])
+def test_a_push_is_a_contact_on_an_arm_of_any_size(times):
+    """Pushes were expected to be of 100 N: of 1.5 N or 15 kN they were jumps of the sensor and loads."""
+    found, *_ = told(*heavier(times, pushed()[1]))
+    assert not found
+
+
+def test_a_load_has_its_mass_on_an_arm_of_two_tonnes():
+    _, samples, mass = loaded()
+    (first, *_), *_ = told(*heavier(1000.0, samples))
+    assert first.kind == 'payload' and first.noticed - samples.origin < 71.5e9
+    assert first.value == pytest.approx(1000.0 * mass, rel=0.25)
 
 
 def test_what_acts_longer_than_a_contact_does_is_a_change():

@@ -3,10 +3,12 @@ the sensor."""
 
 from dataclasses import replace
 from functools import lru_cache
+from xml.etree import ElementTree
 
 import numpy as np
 import pinocchio as pin
 
+from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.experiments.scoreboard import body_of, samples_of
 from semiparam_ros.settings import Settings
 from semiparam_ros.simulation.arm import Arm
@@ -46,6 +48,23 @@ def described(seed=3):
         sensor_frame=found.frame_id,
         wrench_convention=found.convention,
     )
+
+
+def heavier(times, samples, seed=3):
+    """The body of an arm so many times as heavy, and samples of which all outputs are so large."""
+    found = _recording(False, seed)
+    tree = ElementTree.fromstring(found.urdf)
+    for element in [*tree.iter('mass'), *tree.iter('inertia')]:
+        for name, value in element.attrib.items():
+            element.set(name, repr(times * float(value)))
+    body = RigidBody.from_urdf(
+        ElementTree.tostring(tree, encoding='unicode'),
+        found.joint_names,
+        'wrench',
+        found.frame_id,
+        found.convention,
+    )
+    return body, replace(samples, outputs=times * samples.outputs)
 
 
 def loaded(between=LOADED_S, seed=3):

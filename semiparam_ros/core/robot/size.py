@@ -25,7 +25,7 @@ WARMING = 10.0
 """[K] over which what depends on a temperature may change by as much as it is."""
 PUSH_N = 100.0
 """[N] of a person's push."""
-LEAST_PUSH, MOST_PUSH = SHARE, 5.0
+LEAST_PUSH, MOST_PUSH = SHARE, 2.0
 """Of the arm's weight, what a push is at least and at most: a toy is pushed by a finger, a press by no hand."""
 _PART = re.compile(r'(kg|N|m|s|rad|Hz|K)(?:\^(\d))?')
 
