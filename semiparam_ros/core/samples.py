@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
-from typing import NamedTuple, overload
+from typing import Any, NamedTuple, overload
 
 import numpy as np
 
@@ -43,7 +43,7 @@ class Sample(NamedTuple):
 
         Raises SemiparamError when there are more or fewer values, or others than numbers.
         """
-        found = {}
+        found: dict[str, Any] = {}
         for name, value, count in zip(self._fields[1:5], self[1:5], (n_joints,) * 3 + (n_outputs,), strict=True):
             if type(value) is np.ndarray and value.dtype == float and value.shape == (count,) \
                     and value.flags.c_contiguous:
