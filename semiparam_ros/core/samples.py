@@ -66,7 +66,8 @@ class Samples:
     in later, so what belongs to one sample may be read from those after it too. ``averaged_s`` [s]: each value is the
     mean over so long a time. ``temperature`` (N, k) [deg C]: see :class:`Sample`; k = 0 unless given.
 
-    Two are the same only when they are one object, so that what is computed of them can be cached.
+    Values are kept as floats, each row without gaps. Two are the same only when they are one object, so that what is
+    computed of them can be cached.
     """
 
     stamps: Stamps
@@ -81,6 +82,12 @@ class Samples:
     temperature: Array = field(default_factory=lambda: NO_TEMPERATURE)
 
     def __post_init__(self) -> None:
+        for name in Sample._fields[1:5]:
+            given = getattr(self, name)
+            rows = np.asarray(given, dtype=np.float64)
+            rows = rows if rows.strides[-1] == rows.itemsize else np.ascontiguousarray(rows)
+            if rows is not given:
+                object.__setattr__(self, name, rows)
         if not self.temperature.size:
             object.__setattr__(self, 'temperature', np.empty((len(self.stamps), 0)))
 
