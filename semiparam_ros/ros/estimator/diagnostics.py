@@ -160,6 +160,7 @@ class InputReport:
         self._since = time.monotonic()
         self._before: Counter[str] = Counter()
         self._refused: Counter[str] = Counter()
+        self._warned: set[str] = set()
         self._elsewhere = 0
         self._last = ''
 
@@ -178,8 +179,9 @@ class InputReport:
         values |= {f'refused: {reason}': count for reason, count in sorted((faults + self._rejections.counts).items())}
         elsewhere = self._rejections.on_topics
         refused = faults + elsewhere
-        for reason in faults.keys() - self._refused.keys():
+        for reason in (+faults).keys() - self._warned:  # a count goes back to 0 when the clock turns out to have jumped
             assert stream is not None  # it counts them
+            self._warned.add(reason)
             self._warn(f'refused: {stream.sentences[reason]} Further ones of this kind are counted on /diagnostics.')
         news, self._refused = refused - self._refused, refused
         self._last, self._elsewhere = self._latest(elsewhere.total(), bool(news)), elsewhere.total()

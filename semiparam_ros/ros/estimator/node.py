@@ -70,6 +70,8 @@ class EstimatorNode(Node, LearnerListener):
 
     def _build(self, schedule: Scheduler, files: Sequence[Path], worker: Worker | None) -> None:
         self.learner: Learner | None = None
+        self._awaited = ''
+        """What was last said of a change of the model."""
         self.errors = InternalErrors(self.get_logger().error, self._complain)
         self._rejections = Rejections()
         self._live = Parameters(self, {name: value.value for name, value in self._parameter_overrides.items()},
@@ -271,16 +273,18 @@ class EstimatorNode(Node, LearnerListener):
             return ''
         before = self.learner.settings
         try:
-            return self.learner.change(settings)
+            sentence = self.learner.change(settings)
         except Exception:
             self.learner.settings = before
             raise
+        self._awaited = sentence or self._awaited
+        return sentence
 
     def _announcement(self) -> str:
-        """Sentence that the parameters said last, while a model is being built."""
+        """Sentence that the parameters said of a model, while it is being built."""
         if self.learner is None or self.learner.estimating or self.learner.switcher.successor is None:
             return ''
-        return self._live.news
+        return self._awaited
 
     # What is wrong
 

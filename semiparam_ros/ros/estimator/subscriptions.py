@@ -394,8 +394,7 @@ class InputStream:
         """False for a message of other joints than ours, which is no sign of life of the robot."""
         stream = self.stream
         assert stream is not None
-        ignored = stream.ignored
-        backward, misplaced = stream.faults['backward_stamp'], stream.faults['wrong_frame']
+        ignored, accepted, backward = stream.ignored, stream.accepted, stream.faults['backward_stamp']
         if topic == JOINT_STATES:
             stream.shared = self.publishers(JOINT_STATES) > 1
         samples = FEEDS[topic].kind.feed(stream, reading.stamp, *reading.fields)
@@ -405,16 +404,20 @@ class InputStream:
             return True
         if stream.ignored > ignored:
             return False
+        if stream.accepted > accepted:  # what is refused tells nothing of the robot, nor of its clock
+            self._accepted(topic, reading)
+        for sample in samples:
+            self._listener.sample_completed(sample)
+        return True
+
+    def _accepted(self, topic: str, reading: Reading) -> None:
         self._watch.accepted(topic)
         if topic == TEMPERATURE:
             self.temperatures[reading.frame_id.lstrip('/')] = time.monotonic()
         if topic == JOINT_STATES:
             self.has_efforts = len(reading.fields[-1]) > 0
-        if topic == self._frame_topic and stream.faults['wrong_frame'] == misplaced:
+        if topic == self._frame_topic:
             self._listener.frame_changed(reading.frame_id)
-        for sample in samples:
-            self._listener.sample_completed(sample)
-        return True
 
     def _went_back(self, topic: str, reading: Reading) -> None:
         held = self._watch.refused(topic, reading)

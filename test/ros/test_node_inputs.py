@@ -1,0 +1,72 @@
+"""What the node makes of its input messages, without a graph."""
+
+from dataclasses import replace
+from math import nan
+from types import SimpleNamespace
+
+import pytest
+
+from semiparam_ros.bags.readings import Reading
+from semiparam_ros.ros.estimator.diagnostics import InputReport, Rejections
+from semiparam_ros.ros.estimator.subscriptions import JOINT_STATES, InputStream
+from support.node_helpers import JOINTS, SETTINGS
+
+EFFORTS = replace(SETTINGS, outputs='effort', sensor_frame='', acceleration_source='filter')
+PERIOD_NS = 5_000_000
+
+
+class Inputs:
+    """An input stream of efforts, and what it told."""
+
+    def __init__(self):
+        self.samples, self.frames, self.warned, self.jumps = [], [], [], 0
+        subscription = SimpleNamespace(get_publisher_count=lambda: 1)
+        node = SimpleNamespace(create_subscription=lambda *_, **__: subscription)
+        self.stream = InputStream(node, EFFORTS, self, lambda work: work())
+        self.stream.open(JOINTS)
+        self.report = InputReport(self.stream, Rejections(), self.warned.append)
+
+    def sample_completed(self, sample):
+        self.samples.append(sample)
+
+    def frame_changed(self, frame_id):
+        self.frames.append(frame_id)
+
+    def clock_jumped(self):
+        self.jumps += 1
+
+    def take(self, stamp, frame_id='arm', names=JOINTS, value=0.1):
+        row = [value] * len(names)
+        self.stream.turns.add(JOINT_STATES, Reading(stamp, frame_id, (list(names), row, row, row)))
+
+
+@pytest.mark.parametrize('other', [{'value': nan}, {'names': ('a', 'gripper')}])
+def test_a_clock_that_went_back_is_followed_though_some_messages_are_refused(other):
+    """One of four that was refused for another reason said that the clock was as before: no sample came any more."""
+    inputs = Inputs()
+    for start in (10**12, 10**11):
+        for number in range(40):
+            inputs.take(start + number * PERIOD_NS, **(other if number % 4 == 3 else {}))
+    assert inputs.jumps == 1 and len(inputs.samples) == 60
+    assert inputs.stream.stream.faults['backward_stamp'] == 0
+
+
+def test_answers_have_the_frame_of_messages_that_were_not_refused():
+    inputs = Inputs()
+    inputs.take(10**9)
+    inputs.take(2 * 10**9, 'another arm', ('a', 'gripper'))
+    assert inputs.frames == ['arm']
+
+
+def test_the_log_says_nothing_of_refusals_that_turned_out_to_be_none():
+    """It warned once a second, for ever, of stamps that had gone back with the clock."""
+    inputs = Inputs()
+    for start in (10**12, 10**11):
+        for number in range(10):
+            inputs.take(start + number * PERIOD_NS)
+        inputs.report.make()
+    assert inputs.jumps == 1 and not inputs.warned
+    for value in (1, nan, nan):
+        inputs.take(2 * 10**12, value=value)
+        inputs.report.make()
+    assert len(inputs.warned) == 1 and 'not finite' in inputs.warned[0]
