@@ -13,7 +13,7 @@ INFINITE_NS = 2**63 - 1
 _HISTORY = {0: 'system_default', 1: 'keep_last', 2: 'keep_all', 3: 'unknown'}
 _RELIABILITY = {0: 'system_default', 1: 'reliable', 2: 'best_effort', 3: 'unknown', 4: 'best_available'}
 _DURABILITY = {0: 'system_default', 1: 'transient_local', 2: 'volatile', 3: 'unknown', 4: 'best_available'}
-_LIVELINESS = {0: 'system_default', 1: 'automatic', 2: 'manual_by_node', 3: 'manual_by_topic', 4: 'unknown'}
+_LIVELINESS = {0: 'system_default', 1: 'automatic', 2: 'unknown', 3: 'manual_by_topic', 4: 'unknown'}
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 
 import pytest
+from builtin_interfaces.msg import Time
 from rosbags.highlevel import AnyReader
 
 from semiparam_ros.bags.reader import open_bag
@@ -20,6 +21,9 @@ from support.node_helpers import JOINTS, SETTINGS, motion
 from support.replay_peers import EVERYTHING, LATCHED, STATES, TEXT, WRENCH, Peer, Tool, write_robot
 
 pytestmark = pytest.mark.usefixtures('ros_domain')
+
+CLOCK = 'rosgraph_msgs/msg/Clock'
+TIME = message_class(CLOCK)(clock=Time(sec=100))
 
 
 class Source(Peer):
@@ -162,6 +166,24 @@ def test_a_best_effort_publisher_that_comes_later_is_heard(tmp_path):
         assert bag.topics['/wrench'].qos.reliability == 'best_effort' and bag.topics['/wrench'].count == 3
 
 
+def test_a_simulated_time_is_waited_for_and_what_came_before_it_has_its_beginning(tmp_path):
+    """A latched description had the time 0, so that a playback waited for the rest for years."""
+    out = tmp_path / 'out.mcap'
+    with Source() as source:
+        source.offer('/robot_description', TEXT, LATCHED).publish(message_class(TEXT)())
+        wrench, clock = source.offer('/wrench', WRENCH), source.offer('/clock', CLOCK)
+        with Tool(tmp_path, 'record', out, '--topics', '/robot_description', '/wrench', '--count', 'wrench=5',
+                  '--ros-args', '-p', 'use_sim_time:=true') as record:
+            source.wait_for_listeners(wrench, clock)
+            source.wait_for(lambda: clock.publish(TIME) or record.said('recording 2 topics'))
+            for _ in range(5):
+                wrench.publish(message_class(WRENCH)())
+            assert record.wait() == 0, record.output
+    with open_bag(out) as bag:
+        assert bag.start_ns == bag.end_ns == 100 * 10**9
+        assert {topic: info.count for topic, info in bag.topics.items()} == {'/robot_description': 1, '/wrench': 5}
+
+
 def rclpy_sensor_data():
     from rclpy.qos import qos_profile_sensor_data
     return qos_profile_sensor_data
@@ -170,6 +192,7 @@ def rclpy_sensor_data():
 @pytest.mark.parametrize(('arguments', 'sentence'), [
     (['--node', '/estimatr', '--wait-timeout', 0.3], '/estimatr was not found within 0.3 s'),
     (['--topics', '/wrench', '--wait-timeout', 0.3], '/wrench was not found within 0.3 s'),
+    (['--all', '--wait-timeout', 0.3, '--ros-args', '-p', 'use_sim_time:=true'], '/clock was not found within 0.3 s'),
     (['--all', '--duration', 0.3], 'nothing was recorded'),
 ])
 def test_mistakes_are_one_sentence_and_leave_no_file(tmp_path, arguments, sentence):
@@ -196,6 +219,9 @@ def test_an_older_file_is_not_replaced_unless_asked(tmp_path):
     with pytest.raises(SemiparamError, match='exists already'):
         RecordOptions(out, topics=('/wrench',))
     RecordOptions(out, topics=('/wrench',), overwrite=True)
+    (tmp_path / 'other.mcap.partial').write_bytes(b'of one that was killed')
+    with pytest.raises(SemiparamError, match='holds a recording that broke off'):
+        RecordOptions(tmp_path / 'other.mcap', topics=('/wrench',))
     with pytest.raises(SemiparamError, match='expected a node, a topic'):
         RecordOptions(tmp_path / 'new.mcap')
 

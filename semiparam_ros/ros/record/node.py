@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import partial
 
 from rclpy.node import Node
@@ -32,6 +33,8 @@ class RecordNode(Node):
         super().__init__(NAME)
         self._writer = writer
         self._limits = limits
+        if limits.count_topic is not None:
+            self._limits = replace(limits, count_topic=self.resolve_topic_name(limits.count_topic))
         self._sim_time = bool(self.get_parameter('use_sim_time').value)
         self._arrived: deque[tuple[str, bytes, int]] = deque()
         self._inputs: dict[str, Subscription] = {}
@@ -46,6 +49,11 @@ class RecordNode(Node):
     def topics(self) -> Mapping[str, str]:
         """Topic -> type of every subscription."""
         return self._types
+
+    @property
+    def counted(self) -> str | None:
+        """The topic whose messages end the recording."""
+        return self._limits.count_topic
 
     @property
     def messages(self) -> int:
@@ -69,15 +77,18 @@ class RecordNode(Node):
             message_class(type_name), topic, partial(self._receive, topic), profile, raw=True,
             event_callbacks=REPLACEABLE)
 
+    def now(self) -> int:
+        """The time of reception [ns], or the simulated one: 0 until that has come."""
+        # The events executor cannot hand on when a message was published.
+        return int(self.get_clock().now().nanoseconds) if self._sim_time else time.time_ns()
+
     def connected(self) -> bool:
         """Tell whether every subscription has found the publishers that the graph knows."""
         return all(subscription.get_publisher_count() >= self.count_publishers(topic)
                    for topic, subscription in self._inputs.items())
 
     def _receive(self, topic: str, raw: bytes) -> None:
-        # The time of reception, or the simulated time: the events executor cannot hand on when it was published.
-        stamp = self.get_clock().now().nanoseconds if self._sim_time else time.time_ns()
-        self._arrived.append((topic, raw, stamp))
+        self._arrived.append((topic, raw, self.now()))
         if topic not in STEADY and topic not in self._latched:
             self.last_message = time.monotonic()
 
@@ -102,11 +113,13 @@ class RecordNode(Node):
         return published
 
     def write_arrived(self) -> None:
-        """Write what has arrived so far; raises SemiparamError when the disk refuses it."""
+        """Write what has arrived so far, before the simulated time as of its beginning; raises SemiparamError when the
+        disk refuses it."""
         for _ in range(len(self._arrived)):
             if self.complete:
                 return
-            self._write(*self._arrived.popleft())
+            topic, raw, stamp = self._arrived.popleft()
+            self._write(topic, raw, stamp or next((later for *_, later in self._arrived if later), self.now()))
 
     def _write(self, topic: str, raw: bytes, stamp: int) -> None:
         if not self.counts[topic]:

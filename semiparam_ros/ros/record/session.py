@@ -131,7 +131,7 @@ class RecordSession:
 
         def ready() -> bool:
             nonlocal missing
-            missing = self._look(node)
+            missing = self._look(node) + ['/clock'] * (not node.now())
             return not missing and node.connected()
 
         if not wait_until(ready, self._options.wait_s, self._stopping):
@@ -140,6 +140,8 @@ class RecordSession:
         for name in topics.sources(node, node.topics):
             handshake(node, name, self._stopping)
         self._say(f'recording {len(node.topics)} topics: {", ".join(sorted(node.topics))}.')
+        if node.counted not in (None, *node.topics):
+            self._say(f'{node.counted}, of which messages are counted, is not among them yet.')
         self._began = time.monotonic()
 
     def _look(self, node: RecordNode) -> list[str]:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from semiparam_ros.bags.base import BagReader
+from semiparam_ros.bags.base import BagReader, TopicInfo
 from semiparam_ros.bags.reader import MergedBag, open_bag
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.playback.flow_control import Followers, FollowerSilent
@@ -93,23 +93,26 @@ class ReplaySession:
         played, skipped = {}, {}
         for topic in options.selection.of(list(bag.topics)):
             info = bag.topics[topic]
-            if reason := self._obstacle(topic, info.type):
+            if reason := self._obstacle(options.remap.get(topic, topic), info):
                 skipped[topic] = f'{topic} is not played: {reason}.'
                 continue
             qos = lossless(info.qos) if options.follow else info.qos
             if topic in overrides:
                 qos = overridden(qos, overrides[topic], f'{options.qos_overrides}, {topic}')
             played[topic] = PlayedTopic(options.remap.get(topic, topic), info.type, qos)
+            _require_one_type(played, topic)
         self._say(skipped.values())
         _check_remap(options.remap, bag.topics)
         if not played:
             raise SemiparamError('there is nothing to play: no topic of the bag is chosen and installed.')
         return played, skipped
 
-    def _obstacle(self, topic: str, type_name: str) -> str:
-        """Reason why a topic is not played, '' when it is."""
-        if not is_installed(type_name):
-            return f'its type {type_name or "(unknown)"} is not installed'
+    def _obstacle(self, topic: str, info: TopicInfo) -> str:
+        """Reason why a topic is not played under this name, '' when it is."""
+        if not is_installed(info.type):
+            return f'its type {info.type or "(unknown)"} is not installed'
+        if info.encoding != 'cdr':
+            return f'its messages are encoded as {info.encoding!r}; expected cdr, as ROS 2 records them'
         answers = self._options.follow.answers if self._options.follow else {}
         outputs = [answer.rpartition('/')[0] + '/' for answer in answers]
         if topic in answers or any(len(prefix) > 1 and topic.startswith(prefix) for prefix in outputs):
@@ -204,6 +207,14 @@ class ReplaySession:
     def _say(self, sentences: Iterable[str]) -> None:
         for sentence in sentences:
             self._console.print(sentence, soft_wrap=True)
+
+
+def _require_one_type(played: Mapping[str, PlayedTopic], topic: str) -> None:
+    mine = played[topic]
+    others = [other for other, each in played.items() if each.name == mine.name and each.type != mine.type]
+    if others:
+        raise SemiparamError(f'{topic} holds {mine.type} and {others[0]} {played[others[0]].type}: both cannot be '
+                             f'played on {mine.name}.')
 
 
 def _check_remap(remap: Mapping[str, str], found: Mapping[str, object]) -> None:
