@@ -14,6 +14,7 @@ from semiparam_ros.ros.estimator.diagnostics import (
     OK,
     REPORTS,
     WARN,
+    Reports,
     Tally,
     believed_load,
     learning_report,
@@ -196,3 +197,23 @@ def test_feedforward_before_the_first_wrench_has_the_sensors_frame():
     outputs = Outputs(SimpleNamespace(create_publisher=lambda *_: None), 'wrench')
     outputs.open(BODY)
     assert outputs.frame_id == 'ft'
+
+
+def test_after_a_reset_nothing_is_reported_of_the_model_before():
+    """Its horizon errors were, and that joints had moved enough."""
+    stage = Stage(replace(SETTINGS, variant='P'))
+    stage.offer_and_build(motion(200))
+    stage.offer(motion(260)[200:])
+    reports = Reports.__new__(Reports)
+    reports.tally, reports._history, reports._learner = Tally(BODY.joints), None, lambda: stage.learner
+    for answer in stage.answers:
+        reports.tally.add(answer)
+    reports.tally.errors = stage.errors[-1]
+    assert 'horizon error fx' in reports._model().values
+    stage.learner.reset()
+    assert 'horizon error fx' not in reports._model().values
+    still = motion(1)[0]
+    for number in range(5):
+        stage.learner.offer(still._replace(stamp=still.stamp + number))
+        reports.tally.add(stage.answers[-1])
+    assert 'joint a has moved 0.000 rad only' in reports._model().message

@@ -20,6 +20,7 @@ from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.errors import listed, shortened
 from semiparam_ros.online.contact_gate import ContactGate
 from semiparam_ros.online.feedforward import Feedforward
+from semiparam_ros.online.history import History
 from semiparam_ros.online.identified_parameters import (
     MOVED_ENOUGH,
     CarriedLoad,
@@ -464,6 +465,8 @@ class Reports:
                  others: Mapping[str, Callable[[], Report]], duplicates: Callable[[], str],
                  unseen: Callable[[], str], consistent: ConsistentTopic) -> None:
         self.tally = Tally(())
+        self._history: History | None = None
+        """That of the learner whose answers are counted."""
         self._consistent = consistent
         self._published: ConsistentBodies | None = None
         self._news = self._robot_name = self._stage = self._known_duplicates = ''
@@ -540,7 +543,12 @@ class Reports:
 
     def _model(self) -> Report | None:
         learner = self._learner()
-        return None if learner is None else model_report(learner, self.tally)
+        if learner is None:
+            return None
+        if self._history not in (None, learner.history):  # after a reset, or a state that was loaded
+            self.tally = Tally(learner.body.joints)
+        self._history = learner.history
+        return model_report(learner, self.tally)
 
     def _parameters(self) -> Report | None:
         learner = self._learner()
