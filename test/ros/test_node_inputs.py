@@ -5,6 +5,7 @@ from math import nan
 from types import SimpleNamespace
 
 import pytest
+from rclpy.qos import QoSHistoryPolicy, QoSReliabilityPolicy
 
 from semiparam_ros.bags.readings import Reading
 from semiparam_ros.ros.estimator.diagnostics import InputReport, Rejections
@@ -70,3 +71,22 @@ def test_the_log_says_nothing_of_refusals_that_turned_out_to_be_none():
         inputs.take(2 * 10**12, value=value)
         inputs.report.make()
     assert len(inputs.warned) == 1 and 'not finite' in inputs.warned[0]
+
+
+def test_a_topic_that_is_asked_anew_as_best_effort_keeps_what_parameters_have_overridden():
+    """qos_overrides of its depth were lost."""
+    profiles = []
+
+    def create_subscription(kind, topic, receive, profile, **options):
+        profiles.append(profile)
+        if options.get('qos_overriding_options'):  # as rclpy does
+            profile.history, profile.depth = QoSHistoryPolicy.KEEP_LAST, 5
+        return SimpleNamespace(qos_profile=profile, get_publisher_count=lambda: 0)
+    offer = SimpleNamespace(qos_profile=SimpleNamespace(reliability=QoSReliabilityPolicy.BEST_EFFORT))
+    node = SimpleNamespace(create_subscription=create_subscription, destroy_subscription=lambda each: None,
+                           resolve_topic_name=str, get_publishers_info_by_topic=lambda name: [offer])
+    stream = InputStream(node, EFFORTS, None, None)
+    assert stream.follow_reliability() == [JOINT_STATES]
+    asked = profiles[-1]
+    assert (asked.depth, asked.history, asked.reliability) == (
+        5, QoSHistoryPolicy.KEEP_LAST, QoSReliabilityPolicy.BEST_EFFORT)

@@ -226,8 +226,7 @@ class InputStream:
         self.topics = [JOINT_STATES, *([WRENCH] if settings.outputs == 'wrench' else []),
                        *([ACCELERATIONS] if settings.acceleration_source != 'filter' else []),
                        *([TEMPERATURE] if settings.temperatures else [])]
-        self._subscriptions = {topic: self._subscribe(topic, settings.reliability == 'best_effort')
-                               for topic in self.topics}
+        self._subscriptions = {topic: self._subscribe(topic, self._profile()) for topic in self.topics}
         self._oversized = 0
         self._descriptions = [self._listen_to_description(durability) for durability in (
             QoSDurabilityPolicy.TRANSIENT_LOCAL, QoSDurabilityPolicy.VOLATILE)]
@@ -264,8 +263,10 @@ class InputStream:
         """Topics that only best_effort publishers serve, which a reliable subscription does not hear: asked anew."""
         silent = [topic for topic, offers in self._unheard_offers() if not self.publishers(topic) and all(offers)]
         for topic in silent:
+            profile = self._subscriptions[topic].qos_profile  # what the parameters have overridden is not to be lost
+            profile.reliability = QoSReliabilityPolicy.BEST_EFFORT
             self._node.destroy_subscription(self._subscriptions[topic])
-            self._subscriptions[topic] = self._subscribe(topic, best_effort=True)
+            self._subscriptions[topic] = self._subscribe(topic, profile)
         return silent
 
     def newly_unheard(self) -> list[str]:
@@ -303,11 +304,14 @@ class InputStream:
                 if offers:
                     yield topic, offers
 
-    def _subscribe(self, topic: str, best_effort: bool) -> Subscription:
-        depth = self._settings.queue_depth
-        profile = QoSProfile(
+    def _profile(self) -> QoSProfile:
+        depth, best_effort = self._settings.queue_depth, self._settings.reliability == 'best_effort'
+        return QoSProfile(
             history=QoSHistoryPolicy.KEEP_LAST if depth else QoSHistoryPolicy.KEEP_ALL, depth=depth,
             reliability=QoSReliabilityPolicy.BEST_EFFORT if best_effort else QoSReliabilityPolicy.RELIABLE)
+
+    def _subscribe(self, topic: str, profile: QoSProfile) -> Subscription:
+        best_effort = profile.reliability == QoSReliabilityPolicy.BEST_EFFORT
         replaceable = self._settings.reliability == 'auto'
         if best_effort:
             self.best_effort.add(topic)
