@@ -865,3 +865,14 @@ def test_only_a_change_of_the_model_tells_of_the_model_that_is_being_built():
     wanted = replace(SETTINGS, variant='NP-ML')
     assert 'is being built' in stage.learner.change(wanted)
     assert stage.learner.change(replace(wanted, learning=False)) == ''
+
+
+def test_a_tare_long_after_the_last_sample_is_refused(monkeypatch):
+    """It took the residuals of the last second before the sensor fell silent, an hour ago."""
+    tare = Tare(6)
+    tare.add(0, np.ones(6), True)
+    now = time.monotonic()
+    monkeypatch.setattr(time, 'monotonic', lambda: now + 3600.0)
+    with pytest.raises(SemiparamError, match='samples must come'):
+        tare.take()
+    assert not tare.active

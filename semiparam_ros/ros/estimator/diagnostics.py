@@ -376,7 +376,7 @@ def model_report(learner: Learner, tally: Tally) -> Report:
                             f'{REPORTS} s: the robot has changed, or is touched.', values)
     if sentences:
         return Report(WARN, f'{sentences[0]}.', values)
-    return Report(OK, 'the outputs are as predicted.' if innovation is not None else 'no prediction yet.', values)
+    return Report(OK, 'the outputs are as predicted.' if innovation is not None else 'no prediction in the last second.', values)
 
 
 def feedforward_report(feedforward: Feedforward) -> Report:
