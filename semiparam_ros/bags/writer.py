@@ -117,7 +117,10 @@ class BagWriter:
 
     def flush(self) -> None:
         """Put what was written so far on the disk, so that a process killed later loses only what follows."""
-        self._writer.flush()
+        try:
+            self._writer.flush()
+        except OSError as error:
+            raise SemiparamError(f'{str(self.path)!r} cannot be written: {error.strerror}.') from error
 
     def close(self) -> None:
         """Write the index and give the file its name."""

@@ -387,3 +387,14 @@ def test_a_recording_of_some_joints_names_the_parameter_that_tells_which(tmp_pat
                                              'not given, so every moving joint of the robot description is expected; '
                                              r'name in it those that the recording has\.$'):
         load_samples(path, Settings(sensor_frame='ft'))
+
+
+@pytest.mark.parametrize('action', ['flush', 'close'])
+def test_a_full_disk_is_one_sentence(tmp_path, action):
+    """A recorder whose disk filled up ended by an internal error."""
+    (tmp_path / 'a.mcap.partial').symlink_to('/dev/full')
+    bag = BagWriter(tmp_path / 'a.mcap')
+    bag.write('/text', STRING, {'data': 'text'}, 0)
+    with pytest.raises(SemiparamError, match=r"a\.mcap' cannot be written: No space left on device"):
+        getattr(bag, action)()
+    bag.abort()
