@@ -376,7 +376,8 @@ def model_report(learner: Learner, tally: Tally) -> Report:
                             f'{REPORTS} s: the robot has changed, or is touched.', values)
     if sentences:
         return Report(WARN, f'{sentences[0]}.', values)
-    return Report(OK, 'the outputs are as predicted.' if innovation is not None else 'no prediction in the last second.', values)
+    told = 'the outputs are as predicted.' if innovation is not None else 'no prediction in the last second.'
+    return Report(OK, told, values)
 
 
 def feedforward_report(feedforward: Feedforward) -> Report:
