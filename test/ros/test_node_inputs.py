@@ -9,7 +9,7 @@ from rclpy.qos import QoSHistoryPolicy, QoSReliabilityPolicy
 
 from semiparam_ros.bags.readings import Reading
 from semiparam_ros.ros.estimator.diagnostics import InputReport, Rejections
-from semiparam_ros.ros.estimator.subscriptions import JOINT_STATES, InputStream
+from semiparam_ros.ros.estimator.subscriptions import ACCELERATIONS, JOINT_STATES, InputStream
 from support.node_helpers import JOINTS, SETTINGS
 
 EFFORTS = replace(SETTINGS, outputs='effort', sensor_frame='', acceleration_source='filter')
@@ -19,11 +19,11 @@ PERIOD_NS = 5_000_000
 class Inputs:
     """An input stream of efforts, and what it told."""
 
-    def __init__(self):
+    def __init__(self, settings=EFFORTS, publishers=1):
         self.samples, self.frames, self.warned, self.jumps = [], [], [], 0
-        subscription = SimpleNamespace(get_publisher_count=lambda: 1)
+        subscription = SimpleNamespace(get_publisher_count=lambda: publishers)
         node = SimpleNamespace(create_subscription=lambda *_, **__: subscription)
-        self.stream = InputStream(node, EFFORTS, self, lambda work: work())
+        self.stream = InputStream(node, settings, self, lambda work: work())
         self.stream.open(JOINTS)
         self.report = InputReport(self.stream, Rejections(), self.warned.append)
 
@@ -90,3 +90,13 @@ def test_a_topic_that_is_asked_anew_as_best_effort_keeps_what_parameters_have_ov
     asked = profiles[-1]
     assert (asked.depth, asked.history, asked.reliability) == (
         5, QoSHistoryPolicy.KEEP_LAST, QoSReliabilityPolicy.BEST_EFFORT)
+
+
+def test_accelerations_that_come_too_late_are_told():
+    """Their rate was shown, and not that nobody used them."""
+    inputs = Inputs(replace(EFFORTS, acceleration_source='auto'), publishers=0)
+    inputs.take(10**9)
+    assert inputs.report.make().message == 'receiving.'
+    inputs.stream.turns.add(ACCELERATIONS, Reading(10**9, '', (list(JOINTS), [0.0] * len(JOINTS))))
+    assert inputs.report.make().message == (
+        'receiving; joint_accelerations came after the first joint state, and are not used.')

@@ -37,7 +37,7 @@ from semiparam_ros.online.model_switcher import State
 from semiparam_ros.ros.context import steady_timer
 from semiparam_ros.ros.estimator.consistent import ConsistentBodies, ConsistentTopic
 from semiparam_ros.ros.estimator.publishers import inertia_message
-from semiparam_ros.ros.estimator.subscriptions import WRENCH, InputStream
+from semiparam_ros.ros.estimator.subscriptions import ACCELERATIONS, WRENCH, InputStream
 
 DESCRIPTION, PARAMETERS = 'robot_description', 'parameters'
 CHECKPOINTS = 'checkpoints'
@@ -216,7 +216,10 @@ class InputReport:
                                 f'go on with the last one.{self._ignored()}', values)
         stream = self._inputs.stream
         estimated = stream is not None and not stream.velocities_measured
-        return Report(OK, f'receiving{"; velocities are estimated from the positions" * estimated}.', values)
+        late = stream is not None and not stream.takes_accelerations and self._inputs.counts[ACCELERATIONS] > 0
+        told = ['receiving', *['velocities are estimated from the positions'] * estimated,
+                *['joint_accelerations came after the first joint state, and are not used'] * late]
+        return Report(OK, f'{"; ".join(told)}.', values)
 
     def _refusals(self, news: Counter[str]) -> str:
         """What was refused since the last report: the last sentence of each reason."""
