@@ -8,7 +8,7 @@ import pytest
 from rclpy.qos import QoSHistoryPolicy, QoSReliabilityPolicy
 
 from semiparam_ros.bags.readings import Reading
-from semiparam_ros.ros.estimator.diagnostics import InputReport, Rejections
+from semiparam_ros.ros.estimator.diagnostics import OK, InputReport, Rejections
 from semiparam_ros.ros.estimator.subscriptions import ACCELERATIONS, JOINT_STATES, InputStream
 from support.node_helpers import JOINTS, SETTINGS
 
@@ -25,7 +25,8 @@ class Inputs:
         node = SimpleNamespace(create_subscription=lambda *_, **__: subscription)
         self.stream = InputStream(node, settings, self, lambda work: work())
         self.stream.open(JOINTS)
-        self.report = InputReport(self.stream, Rejections(), self.warned.append)
+        self.rejections = Rejections()
+        self.report = InputReport(self.stream, self.rejections, self.warned.append)
 
     def sample_completed(self, sample):
         self.samples.append(sample)
@@ -100,3 +101,11 @@ def test_accelerations_that_come_too_late_are_told():
     inputs.stream.turns.add(ACCELERATIONS, Reading(10**9, '', (list(JOINTS), [0.0] * len(JOINTS))))
     assert inputs.report.make().message == (
         'receiving; joint_accelerations came after the first joint state, and are not used.')
+
+
+def test_a_checkpoint_that_cannot_be_written_is_no_message_that_was_refused():
+    inputs = Inputs()
+    inputs.take(10**9)
+    inputs.rejections.add('checkpoints', 'a.checkpoint.npz was not written: No space left on device.')
+    level, message, values = inputs.report.make()
+    assert (level, message, values['refused: checkpoints'], values['last refusal']) == (OK, 'receiving.', 1, '')

@@ -41,6 +41,8 @@ from semiparam_ros.ros.estimator.subscriptions import ACCELERATIONS, WRENCH, Inp
 
 DESCRIPTION, PARAMETERS = 'robot_description', 'parameters'
 CHECKPOINTS = 'checkpoints'
+NO_MESSAGES = PARAMETERS, CHECKPOINTS
+"""What is refused there came on no topic, and is told elsewhere."""
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 SILENCE_S = 1.0
@@ -55,7 +57,7 @@ PERIOD_S = 1.0
 
 
 class Rejections:
-    """Counts by where they came in, and the last sentence of a topic; callers of services have theirs in the reply."""
+    """Counts by where they came in, and the last sentence of a topic."""
 
     def __init__(self) -> None:
         self.counts: Counter[str] = Counter()
@@ -66,13 +68,13 @@ class Rejections:
     def add(self, where: str, sentence: str) -> None:
         """One more."""
         self.counts[where] += 1
-        if where != PARAMETERS:
+        if where not in NO_MESSAGES:
             self.last = self.sentences[where] = shortened(sentence)
 
     @property
     def on_topics(self) -> Counter[str]:
         """Numbers of messages refused, by topic."""
-        return Counter({where: count for where, count in self.counts.items() if where != PARAMETERS})
+        return Counter({where: count for where, count in self.counts.items() if where not in NO_MESSAGES})
 
 
 class InternalErrors:
