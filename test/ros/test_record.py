@@ -9,6 +9,8 @@ from dataclasses import replace
 
 import pytest
 from builtin_interfaces.msg import Time
+from rcl_interfaces.msg import Parameter, ParameterValue
+from rcl_interfaces.srv import SetParameters
 from rosbags.highlevel import AnyReader
 
 from semiparam_ros.bags.reader import open_bag
@@ -106,6 +108,22 @@ def test_a_signal_ends_it_and_the_file_is_whole(tmp_path):
         assert record.wait() == 0, record.output
     assert topics_of(out) == {'/wrench': 50}
     assert record.said('recorded 50 messages') and not list(tmp_path.glob('*.partial'))
+
+
+def test_a_call_that_makes_no_sense_does_not_end_it(tmp_path):
+    """A parameter of a type that there is not: the recording broke off."""
+    out = tmp_path / 'out.mcap'
+    with recorder(out) as (source, wrench, record):
+        client = source.node.create_client(SetParameters, '/bag_record/set_parameters')
+        source.wait_for(client.service_is_ready)
+        source.meet('bag_record')
+        call = client.call_async(SetParameters.Request(parameters=[Parameter(value=ParameterValue(type=77))]))
+        source.wait_for(call.done)
+        assert not call.result().results[0].successful
+        wrench.publish(message_class(WRENCH)())
+        record.interrupt()
+        assert record.wait() == 0, record.output
+    assert topics_of(out) == {'/wrench': 1}
 
 
 def test_what_was_published_before_the_signal_is_recorded_also_after_a_pause(tmp_path):

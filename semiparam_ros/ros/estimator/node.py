@@ -6,14 +6,11 @@ import time
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import JumpThreshold
 from rclpy.duration import Duration
-from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.service import Service
 
 from semiparam_ros.core.horizon_error import HorizonErrors
 from semiparam_ros.core.robot.rigid_body import RigidBody
@@ -24,6 +21,7 @@ from semiparam_ros.online.folder_lock import FolderLock
 from semiparam_ros.online.learner import Answer, Learner, LearnerListener
 from semiparam_ros.online.state_file import SavedState, folder_of
 from semiparam_ros.online.worker import ProcessBackground, Scheduler, Worker
+from semiparam_ros.ros.answering import AnsweringNode
 from semiparam_ros.ros.context import DELIVER_S, destroyed_on_failure
 from semiparam_ros.ros.estimator.autosave import Autosave
 from semiparam_ros.ros.estimator.changing import Changing
@@ -39,7 +37,7 @@ from semiparam_ros.ros.estimator.diagnostics import (
     Reports,
 )
 from semiparam_ros.ros.estimator.outside import Outside
-from semiparam_ros.ros.estimator.parameters import HeldReplies, Parameters, answering
+from semiparam_ros.ros.estimator.parameters import HeldReplies, Parameters
 from semiparam_ros.ros.estimator.publishers import Outputs
 from semiparam_ros.ros.estimator.robot import Robot
 from semiparam_ros.ros.estimator.services import Services, reason
@@ -51,7 +49,7 @@ from semiparam_ros.settings.snapshot import Settings, unknown_name
 NAME = 'estimator'
 
 
-class EstimatorNode(Node, LearnerListener):
+class EstimatorNode(AnsweringNode, LearnerListener):
     """Learns, predicts and publishes.
 
     :param schedule: see :data:`Scheduler`.
@@ -107,13 +105,9 @@ class EstimatorNode(Node, LearnerListener):
         self._watch_clock()
         self._robot.from_parameters()
 
-    def create_service(self, srv_type: Any, srv_name: str, callback: Callable[[Any, Any], Any],
-                       **options: Any) -> Service:
-        """As every node does, but whatever the callback raises, a response is sent: rclpy would send none."""
-        def failed(error: Exception) -> str:
-            return reason(srv_name, error, self.errors)
-
-        return super().create_service(srv_type, srv_name, answering(callback, failed), **options)
+    def failure(self, service: str, error: Exception) -> str:
+        """Our own sentences as they are; anything else is counted as an internal error."""
+        return reason(service, error, self.errors)
 
     @property
     def settings(self) -> Settings:

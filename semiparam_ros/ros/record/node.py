@@ -8,11 +8,11 @@ from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 
-from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from rclpy.subscription import Subscription
 
 from semiparam_ros.bags.writer import BagWriter
+from semiparam_ros.ros.answering import AnsweringNode
 from semiparam_ros.ros.context import REPLACEABLE
 from semiparam_ros.ros.message_types import message_class
 from semiparam_ros.ros.record import topics
@@ -23,7 +23,7 @@ NAME = 'bag_record'
 STEADY = ('/diagnostics', '/diagnostics_agg', '/clock', *topics.HOUSEKEEPING)
 
 
-class RecordNode(Node):
+class RecordNode(AnsweringNode):
     """Receives in the executor's thread, as fast as it comes, and writes where :meth:`write_arrived` is called.
 
     Writing takes longer than receiving, and a publisher's queue is short: so nothing is lost in a burst.
