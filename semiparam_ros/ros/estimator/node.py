@@ -8,7 +8,6 @@ from functools import partial
 from pathlib import Path
 
 from rcl_interfaces.msg import SetParametersResult
-from rclpy.clock import JumpThreshold
 from rclpy.duration import Duration
 from rclpy.parameter import Parameter
 
@@ -102,7 +101,6 @@ class EstimatorNode(AnsweringNode, LearnerListener):
         self._autosave = Autosave(self, settings, lock,
                                   lambda: None if self.learner is None else self.learner.state(),
                                   guarded, self._reports.say, partial(self._refuse, CHECKPOINTS))
-        self._watch_clock()
         self._robot.from_parameters()
 
     def failure(self, service: str, error: Exception) -> str:
@@ -218,12 +216,6 @@ class EstimatorNode(AnsweringNode, LearnerListener):
     def failed(self, place: str, error: BaseException) -> None:
         """An internal error; the node goes on."""
         self.errors.add(place, error)
-
-    def _watch_clock(self) -> None:
-        """A simulated clock that jumps back, as when a recording starts again."""
-        threshold = JumpThreshold(min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=False)
-        self._jumps = self.get_clock().create_jump_callback(
-            threshold, post_callback=lambda _: self._guarded('the clock', self._inputs.clock_jumped))
 
     # Parameters
 

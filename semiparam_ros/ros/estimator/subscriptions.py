@@ -40,7 +40,6 @@ MOST_WAITING = 20_000
 ROBOT_DESCRIPTION = 'robot_description'
 JOINT_STATES, WRENCH, ACCELERATIONS = 'joint_states', 'wrench', 'joint_accelerations'
 TEMPERATURE = 'temperature'
-CLOCK = 'clock'
 
 
 class Stopwatch:
@@ -69,10 +68,10 @@ class Stopwatch:
 
 
 class Waiting(NamedTuple):
-    """A message that nobody has looked at yet, and when it came by ``perf_counter``; None: the clock jumped."""
+    """A message that nobody has looked at yet, and when it came by ``perf_counter``."""
 
     topic: str
-    reading: Reading | None
+    reading: Reading
     arrived: float
 
 
@@ -103,7 +102,7 @@ class MessageTurns:
         """Time that the oldest has waited [s]."""
         return time.perf_counter() - self._waiting[0].arrived if self._waiting else 0.0
 
-    def add(self, topic: str, reading: Reading | None) -> None:
+    def add(self, topic: str, reading: Reading) -> None:
         """One has come."""
         self._waiting.append(Waiting(topic, reading, time.perf_counter()))
         self._counts[topic] += 1
@@ -159,10 +158,6 @@ class ClockWatch:
             return []
         jumped, self._held = self._held, []
         return jumped
-
-    def clear(self) -> None:
-        """Start afresh."""
-        self._held.clear()
 
 
 class Feed(NamedTuple):
@@ -244,16 +239,6 @@ class InputStream:
         early, self._early = self._early, []
         for topic, reading in early:
             self._receive(topic, reading, time.perf_counter())
-
-    def clock_jumped(self) -> None:
-        """Forget what waits for its counterpart, once all is worked on that came before."""
-        self.turns.add(CLOCK, None)
-
-    def _jump(self) -> None:
-        self._watch.clear()
-        if self.stream is not None:
-            self.stream.reset()
-        self._listener.clock_jumped()
 
     def publishers(self, topic: str) -> int:
         """Number of publishers of a topic that are heard."""
@@ -359,10 +344,7 @@ class InputStream:
 
     def _take(self, message: Waiting) -> None:
         try:
-            if message.reading is None:
-                self._jump()
-            else:
-                self._receive(message.topic, message.reading, message.arrived)
+            self._receive(message.topic, message.reading, message.arrived)
         except Exception as error:
             self._listener.message_failed(message.topic, error)
 
@@ -427,8 +409,9 @@ class InputStream:
         held = self._watch.refused(topic, reading)
         if not held:
             return
-        self._jump()
         assert self.stream is not None
+        self.stream.reset()
+        self._listener.clock_jumped()
         self.stream.faults['backward_stamp'] -= len(held)
         for again in held:
             self._feed(*again)
