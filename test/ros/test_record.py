@@ -194,11 +194,16 @@ def test_a_simulated_time_is_waited_for_and_what_came_before_it_has_its_beginnin
                   '--ros-args', '-p', 'use_sim_time:=true') as record:
             source.wait_for_listeners(wrench, clock)
             source.wait_for(lambda: clock.publish(TIME) or record.said('recording 2 topics'))
-            for _ in range(5):
+            for number in range(5):
                 wrench.publish(message_class(WRENCH)())
+                if number == 3:
+                    time.sleep(0.5)  # the clock comes on another topic
+                    clock.publish(message_class(CLOCK)(clock=Time(sec=99)))
+                    time.sleep(0.5)
             assert record.wait() == 0, record.output
+    assert record.said('the clock went back meanwhile')
     with open_bag(out) as bag:
-        assert bag.start_ns == bag.end_ns == 100 * 10**9
+        assert bag.start_ns == 99 * 10**9 and bag.end_ns == 100 * 10**9
         assert {topic: info.count for topic, info in bag.topics.items()} == {'/robot_description': 1, '/wrench': 5}
 
 

@@ -44,6 +44,9 @@ class RecordNode(AnsweringNode):
         self.counts: dict[str, int] = {}
         self.last_message = 0.0
         self.complete = False
+        self.went_back = False
+        """Whether the time of reception ever went back, as a simulated one does where a recording starts again."""
+        self._newest = 0
 
     @property
     def topics(self) -> Mapping[str, str]:
@@ -88,7 +91,10 @@ class RecordNode(AnsweringNode):
                    for topic, subscription in self._inputs.items())
 
     def _receive(self, topic: str, raw: bytes) -> None:
-        self._arrived.append((topic, raw, self.now()))
+        stamp = self.now()
+        self.went_back |= stamp < self._newest
+        self._newest = stamp
+        self._arrived.append((topic, raw, stamp))
         if topic not in STEADY and topic not in self._latched:
             self.last_message = time.monotonic()
 
