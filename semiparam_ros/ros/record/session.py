@@ -123,7 +123,7 @@ class RecordSession:
             _check(ros, node, writer)
             writer.close()
             if node.went_back:
-                self._say('the clock went back meanwhile: messages of before and after have the same log times, and are '
+                self._say('the clock went back meanwhile: messages of before and after it share log times, and are '
                           'played mixed.')
             return RecordAccount(str(self._options.path), time.monotonic() - self._began, dict(node.counts),
                                  tuple(self._skipped.values()))
