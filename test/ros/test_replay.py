@@ -410,6 +410,13 @@ def test_messages_of_another_encoding_are_not_published():
                                               'ROS 2 records them.'])
 
 
+@pytest.mark.parametrize('clock', [{'clock_hz': 40.0}, {'clock_before_each': True}, {}])
+def test_there_is_one_clock(clock):
+    """That of the bag came between the times of the playback."""
+    topics = {'/a': TopicInfo(WRENCH, 1, Qos()), '/clock': TopicInfo('rosgraph_msgs/msg/Clock', 1, Qos())}
+    assert topics_played(topics, **clock)[0] == (['/a'] if clock else ['/a', '/clock'])
+
+
 def test_answers_that_the_playback_publishes_itself_are_refused():
     """Those in the bag counted as the follower's, which said nothing: 200 of 200 answered."""
     node = SimpleNamespace(resolve_topic_name='/{}'.format, outputs={'/a': SimpleNamespace(topic_name='/a')})

@@ -113,6 +113,8 @@ class ReplaySession:
             return f'its type {info.type or "(unknown)"} is not installed'
         if info.encoding != 'cdr':
             return f'its messages are encoded as {info.encoding!r}; expected cdr, as ROS 2 records them'
+        if topic == '/clock' and (self._options.clock_hz is not None or self._options.clock_before_each):
+            return 'the time of the bag is published there'
         answers = self._options.follow.answers if self._options.follow else {}
         outputs = [answer.rpartition('/')[0] + '/' for answer in answers]
         if topic in answers or any(len(prefix) > 1 and topic.startswith(prefix) for prefix in outputs):
