@@ -216,6 +216,8 @@ def rclpy_sensor_data():
     (['--node', '/estimatr', '--wait-timeout', 0.3], '/estimatr was not found within 0.3 s'),
     (['--topics', '/wrench', '--wait-timeout', 0.3], '/wrench was not found within 0.3 s'),
     (['--all', '--wait-timeout', 0.3, '--ros-args', '-p', 'use_sim_time:=true'], '/clock was not found within 0.3 s'),
+    (['--topics', '/a-b'], "'/a-b' is no name of a topic"),
+    (['--all', '--count', '/a/=3'], "'/a/' is no name of a topic"),
     (['--all', '--duration', 0.3], 'nothing was recorded'),
 ])
 def test_mistakes_are_one_sentence_and_leave_no_file(tmp_path, arguments, sentence):

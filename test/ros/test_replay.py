@@ -431,3 +431,14 @@ def test_a_time_that_is_none_is_no_place_to_go_to(value):
     controls._start_ns = START
     controls._player = Player(SimpleNamespace(start_ns=START, end_ns=START + SECOND), None)
     assert not controls._validate([RosParameter('seek_to', value=value)]).successful
+
+
+def test_topics_by_names_that_ros_does_not_have_are_left_out_or_refused():
+    """One of a stranger's bag ended the playback by an internal error."""
+    topics = {topic: TopicInfo(WRENCH, 1, Qos()) for topic in ('/a', '/force-torque', '/a//b')}
+    names, skipped = topics_played(topics)
+    assert names == ['/a'] and len(skipped) == 2 and skipped[1].endswith("topic name must not contain repeated '/'.")
+    assert topics_played(topics, remap={'/force-torque': '/force_torque'})[0] == ['/a', '/force_torque']
+    for options in ({'remap': {'/a': '/a-b'}}, {'follow': FollowOptions({'/a-b': None})}):
+        with pytest.raises(SemiparamError, match="'/a-b' is no name of a topic: topic name must not contain char"):
+            topics_played(topics, **options)

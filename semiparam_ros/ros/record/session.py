@@ -14,7 +14,7 @@ from rich.status import Status
 from semiparam_ros.bags.writer import BagWriter
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.ros.context import DELIVER_S, RosProcess, call_in_executor
-from semiparam_ros.ros.discovery import Stopped, handshake, wait_until
+from semiparam_ros.ros.discovery import Stopped, handshake, require_topic_names, wait_until
 from semiparam_ros.ros.record import topics
 from semiparam_ros.ros.record.node import RecordNode
 from semiparam_ros.ros.record.options import RecordOptions
@@ -102,6 +102,8 @@ class RecordSession:
         A file of the name appears only when the recording is whole. What fails later leaves the part so far as
         ``NAME.partial``, which every command of this package reads.
         """
+        counted = self._options.limits.count_topic
+        require_topic_names([*self._options.topics, *([] if counted is None else [counted])])
         writer = BagWriter(self._options.path, self._options.compression)
         try:
             return self._record(writer)

@@ -24,7 +24,7 @@ from semiparam_ros.playback.read_ahead import ReadAhead
 from semiparam_ros.playback.report import ReplayAccount
 from semiparam_ros.playback.timeline import BagTimeline, PlayedTopic
 from semiparam_ros.ros.context import DELIVER_S, RosProcess, call_in_executor
-from semiparam_ros.ros.discovery import Stopped, handshake, wait_until
+from semiparam_ros.ros.discovery import Stopped, handshake, name_fault, require_topic_names, wait_until
 from semiparam_ros.ros.message_types import is_installed
 from semiparam_ros.ros.recorded_qos import load_overrides, lossless, overridden
 from semiparam_ros.ros.replay.controls import ReplayControls
@@ -89,6 +89,8 @@ class ReplaySession:
     def _topics(self, bag: BagReader) -> tuple[dict[str, PlayedTopic], dict[str, str]]:
         """Topics that are played, and the reasons why other chosen ones are not."""
         options = self._options
+        _check_remap(options.remap, bag.topics)
+        require_topic_names(options.follow.answers if options.follow else ())
         overrides = load_overrides(options.qos_overrides) if options.qos_overrides else {}
         played, skipped = {}, {}
         for topic in options.selection.of(list(bag.topics)):
@@ -102,7 +104,6 @@ class ReplaySession:
             played[topic] = PlayedTopic(options.remap.get(topic, topic), info.type, qos)
             _require_one_type(played, topic)
         self._say(skipped.values())
-        _check_remap(options.remap, bag.topics)
         if not played:
             raise SemiparamError('there is nothing to play: no topic of the bag is chosen and installed.')
         return played, skipped
@@ -111,6 +112,8 @@ class ReplaySession:
         """Reason why a topic is not played under this name, '' when it is."""
         if not is_installed(info.type):
             return f'its type {info.type or "(unknown)"} is not installed'
+        if fault := name_fault(topic):
+            return fault
         if info.encoding != 'cdr':
             return f'its messages are encoded as {info.encoding!r}; expected cdr, as ROS 2 records them'
         if topic == '/clock' and (self._options.clock_hz is not None or self._options.clock_before_each):
@@ -223,6 +226,7 @@ def _check_remap(remap: Mapping[str, str], found: Mapping[str, object]) -> None:
     unknown = [topic for topic in remap if topic not in found]
     if unknown:
         raise SemiparamError(f'cannot remap {", ".join(unknown)}: the bag has {", ".join(found)}.')
+    require_topic_names(remap.values())
 
 
 def _open(paths: Sequence[Path]) -> BagReader:
