@@ -67,10 +67,11 @@ def _policy(value: object, names: Mapping[int, str], default: str) -> str:
 
 
 def duration_ns(value: object) -> int:
-    """A duration {sec, nsec}; zero stands for none, as in rmw."""
-    if not isinstance(value, Mapping):
+    """A duration {sec, nsec}; zero stands for none, as in rmw, and so does what is no duration."""
+    parts = [value.get('sec', 0), value.get('nsec', 0)] if isinstance(value, Mapping) else [None]
+    if not all(isinstance(part, int) for part in parts):
         return INFINITE_NS
-    total = int(value.get('sec', 0)) * NANOSECONDS + int(value.get('nsec', 0))
+    total = parts[0] * NANOSECONDS + parts[1]
     return total if 0 < total < INFINITE_NS else INFINITE_NS
 
 

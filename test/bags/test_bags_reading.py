@@ -185,6 +185,7 @@ def test_profiles_of_every_metadata_version_are_understood():
           '  deadline: {sec: 9223372036, nsec: 854775807}\n'
     assert parse_profiles(old) == (Qos('keep_last', 0, 'best_effort', 'transient_local'),)
     assert parse_profiles(dump_profiles([LATCHED, Qos()])) == (LATCHED, Qos())
+    assert parse_profiles('- deadline: {sec: x, nsec: .inf}') == (Qos(),)
     assert parse_profiles('') == parse_profiles(None) == parse_profiles('][') == parse_profiles('3') == ()
 
 
