@@ -68,10 +68,10 @@ def _policy(value: object, names: Mapping[int, str], default: str) -> str:
 
 def duration_ns(value: object) -> int:
     """A duration {sec, nsec}; zero stands for none, as in rmw, and so does what is no duration."""
-    parts = [value.get('sec', 0), value.get('nsec', 0)] if isinstance(value, Mapping) else [None]
-    if not all(isinstance(part, int) for part in parts):
+    seconds, nanoseconds = (value.get('sec', 0), value.get('nsec', 0)) if isinstance(value, Mapping) else (0, 0)
+    if not (isinstance(seconds, int) and isinstance(nanoseconds, int)):
         return INFINITE_NS
-    total = parts[0] * NANOSECONDS + parts[1]
+    total = seconds * NANOSECONDS + nanoseconds
     return total if 0 < total < INFINITE_NS else INFINITE_NS
 
 
