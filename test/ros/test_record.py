@@ -6,6 +6,7 @@ import subprocess
 import time
 from contextlib import contextmanager
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 from builtin_interfaces.msg import Time
@@ -13,9 +14,12 @@ from rcl_interfaces.msg import Parameter, ParameterValue
 from rcl_interfaces.srv import SetParameters
 from rosbags.highlevel import AnyReader
 
+from semiparam_ros.bags.qos import Qos
 from semiparam_ros.bags.reader import open_bag
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.ros.message_types import message_class
+from semiparam_ros.ros.record import topics
+from semiparam_ros.ros.record.node import RecordNode
 from semiparam_ros.ros.record.options import Limits, RecordOptions, parse_count
 from support.commands import refusal
 from support.node_client import stamp_of
@@ -205,6 +209,17 @@ def test_a_simulated_time_is_waited_for_and_what_came_before_it_has_its_beginnin
     with open_bag(out) as bag:
         assert bag.start_ns == 99 * 10**9 and bag.end_ns == 100 * 10**9
         assert {topic: info.count for topic, info in bag.topics.items()} == {'/robot_description': 1, '/wrench': 5}
+
+
+def test_of_several_offers_the_one_is_recorded_that_every_subscriber_can_use(monkeypatch):
+    """The first was: of best effort, a replay of it reached no reliable subscriber."""
+    recorded = []
+    monkeypatch.setattr(topics, 'offers', lambda node, topic: [Qos(reliability='best_effort', depth=3), Qos(depth=2)])
+    node = RecordNode.__new__(RecordNode)
+    node._writer = SimpleNamespace(add_topic=lambda *topic: recorded.append(topic), write_raw=lambda *message: None)
+    node.counts, node._types, node._limits = {'/a': 0}, {'/a': TEXT}, Limits()
+    node._write('/a', b'', 1)
+    assert recorded == [('/a', TEXT, Qos(depth=3))]
 
 
 def rclpy_sensor_data():

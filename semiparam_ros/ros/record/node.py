@@ -11,6 +11,7 @@ from functools import partial
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from rclpy.subscription import Subscription
 
+from semiparam_ros.bags.qos import agreed
 from semiparam_ros.bags.writer import BagWriter
 from semiparam_ros.ros.answering import AnsweringNode
 from semiparam_ros.ros.context import REPLACEABLE
@@ -130,7 +131,7 @@ class RecordNode(AnsweringNode):
     def _write(self, topic: str, raw: bytes, stamp: int) -> None:
         if not self.counts[topic]:
             offers = topics.offers(self, topic)
-            self._writer.add_topic(topic, self._types[topic], offers[0] if offers else None)
+            self._writer.add_topic(topic, self._types[topic], agreed(offers) if offers else None)
         self._writer.write_raw(topic, raw, stamp)
         self.counts[topic] += 1
         self.complete = self._is_full(topic)
