@@ -7,8 +7,10 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 
 from semiparam_ros.online.identified_parameters import reported_load
+from semiparam_ros.ros.estimator.autosave import Autosave
 from semiparam_ros.ros.estimator.diagnosing import Diagnosing, Running
 from semiparam_ros.ros.estimator.diagnostics import (
     OK,
@@ -217,3 +219,18 @@ def test_after_a_reset_nothing_is_reported_of_the_model_before():
         stage.learner.offer(still._replace(stamp=still.stamp + number))
         reports.tally.add(stage.answers[-1])
     assert 'joint a has moved 0.000 rad only' in reports._model().message
+
+
+@pytest.mark.parametrize(('busy', 'sentence'), [(True, 'the one before it is still being written.'),
+                                                (False, 'Permission denied')])
+def test_a_node_ends_and_says_why_there_is_no_checkpoint_of_the_end(busy, sentence):
+    """It said nothing while a disk hung, and ended by an exception of any other error."""
+    told = []
+
+    def save(state):
+        raise PermissionError('Permission denied')
+    autosave = Autosave.__new__(Autosave)
+    autosave._active, autosave._state, autosave._refuse = True, lambda: 'state', told.append
+    autosave.checkpoints = SimpleNamespace(wait=lambda: None, busy=busy, save=save, news=[])
+    autosave.close()
+    assert told == [f'there is no checkpoint of the end: {sentence}']
