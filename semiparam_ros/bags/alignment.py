@@ -152,7 +152,8 @@ class SampleStream:
         self.last_fault = self.last_ignored = ''
         self.sentences: dict[str, str] = {}
         """The last fault of each reason."""
-        self.ignored = 0
+        self.ignored = self.accepted = 0
+        """Messages of others, and those of ours that were not refused."""
         self._effort = outputs == 'effort'
         self._outputs = [index for index, name in enumerate(joints) if name in (output_joints or joints)]
         self._frame = sensor_frame.lstrip('/')
@@ -360,6 +361,7 @@ class SampleStream:
                          f'{what} has the {kind} stamp {in_seconds(stamp)} s after {in_seconds(last)} s.')
             return False
         self._last[what] = stamp
+        self.accepted += 1
         return True
 
     def _refuse(self, reason: str, sentence: str) -> list[Sample]:

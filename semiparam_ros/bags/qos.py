@@ -13,7 +13,7 @@ INFINITE_NS = 2**63 - 1
 _HISTORY = {0: 'system_default', 1: 'keep_last', 2: 'keep_all', 3: 'unknown'}
 _RELIABILITY = {0: 'system_default', 1: 'reliable', 2: 'best_effort', 3: 'unknown', 4: 'best_available'}
 _DURABILITY = {0: 'system_default', 1: 'transient_local', 2: 'volatile', 3: 'unknown', 4: 'best_available'}
-_LIVELINESS = {0: 'system_default', 1: 'automatic', 2: 'manual_by_node', 3: 'manual_by_topic', 4: 'unknown'}
+_LIVELINESS = {0: 'system_default', 1: 'automatic', 2: 'unknown', 3: 'manual_by_topic', 4: 'unknown'}
 
 
 @dataclass(frozen=True)
@@ -67,10 +67,11 @@ def _policy(value: object, names: Mapping[int, str], default: str) -> str:
 
 
 def duration_ns(value: object) -> int:
-    """A duration {sec, nsec}; zero stands for none, as in rmw."""
-    if not isinstance(value, Mapping):
+    """A duration {sec, nsec}; zero stands for none, as in rmw, and so does what is no duration."""
+    seconds, nanoseconds = (value.get('sec', 0), value.get('nsec', 0)) if isinstance(value, Mapping) else (0, 0)
+    if not (isinstance(seconds, int) and isinstance(nanoseconds, int)):
         return INFINITE_NS
-    total = int(value.get('sec', 0)) * NANOSECONDS + int(value.get('nsec', 0))
+    total = seconds * NANOSECONDS + nanoseconds
     return total if 0 < total < INFINITE_NS else INFINITE_NS
 
 

@@ -26,6 +26,11 @@ CHUNK_BYTES = 64 * 1024
 _COMPRESSION = {'zstd': CompressionType.ZSTD, 'lz4': CompressionType.LZ4, 'none': CompressionType.NONE}
 
 
+def partial_path(path: Path) -> Path:
+    """Where a bag is written until it is complete."""
+    return path.with_name(f'{path.name}.partial')
+
+
 class BagWriter:
     """An MCAP file in the making: ``with BagWriter(path) as bag: bag.write(...)``.
 
@@ -39,7 +44,7 @@ class BagWriter:
         if compression not in _COMPRESSION:
             raise SemiparamError(f'bag compression {compression!r} is unknown: expected one of {list(_COMPRESSION)}.')
         self.path = Path(path)
-        self.partial_path = self.path.with_name(self.path.name + '.partial')
+        self.partial_path = partial_path(self.path)
         self.message_count = 0
         self._file = _open_for_writing(self.partial_path)
         self._writer = Writer(self._file, chunk_size=chunk_bytes, compression=_COMPRESSION[compression])
@@ -112,7 +117,10 @@ class BagWriter:
 
     def flush(self) -> None:
         """Put what was written so far on the disk, so that a process killed later loses only what follows."""
-        self._writer.flush()
+        try:
+            self._writer.flush()
+        except OSError as error:
+            raise SemiparamError(f'{str(self.path)!r} cannot be written: {error.strerror}.') from error
 
     def close(self) -> None:
         """Write the index and give the file its name."""

@@ -39,6 +39,8 @@ def check_file(path: Path, ros_arguments: Sequence[str]) -> None:
     from semiparam_ros.settings.files import read_params
     from semiparam_ros.settings.snapshot import Settings
 
-    given = dict(argument.split(':=', 1) for argument in ros_arguments if ':=' in argument)
-    names = [*given.get('__ns', '').split('/'), given.get('__node', 'estimator')]
+    rules = [argument.split(':=', 1) for argument in ros_arguments if ':=' in argument]
+    name = next((to for rule, to in rules if rule.removeprefix('estimator:') in ('__node', '__name')), 'estimator')
+    namespace = next((to for rule, to in rules if rule.removeprefix(f'{name}:') == '__ns'), '')
+    names = [*namespace.split('/'), name]
     Settings().changed(read_params(path, '/' + '/'.join(filter(None, names))), where=str(path))

@@ -383,18 +383,19 @@ class Learner:
         return Sample(0, zeros, zeros, zeros, np.zeros(self.body.n_outputs))
 
     def change(self, settings: Settings) -> str:
-        """Take over new, already validated settings; returns a sentence on what happens now, '' for nothing much."""
-        self.settings = settings
+        """Take over new, already validated settings; returns a sentence on what happens to the model now, '' where they
+        ask for no other one."""
+        before, self.settings = self.settings, settings
         if settings.tools != self.tools.texts:
             self.tools = Tools(self.body, settings.tools)
         sentence = self._change_model(settings)
         self.switcher.set_shadows(settings, self.history, retry=True)
-        return sentence
+        return '' if same_model(before, settings) else sentence
 
     def _change_model(self, settings: Settings) -> str:
         successor = self.switcher.successor
         if successor is not None and same_model(settings, successor.settings):
-            return '' if same_model(settings, self.built) else f'{settings.variant} is being built already.'
+            return ''
         self.switcher.retire_successor()
         if same_model(settings, self.built):
             self._follow_settings()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections import deque
 
 import numpy as np
@@ -11,6 +12,8 @@ from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError
 
 WINDOW_NS = NANOSECONDS
+OLDEST_S = 10.0
+"""Since the latest sample: a call takes its time on a busy machine, but of a sensor that is silent nothing is known."""
 LARGEST = 1e6
 """No sensor [N, N m] is off by so much; taken off, it would leave nothing of the measured outputs' digits."""
 
@@ -25,6 +28,8 @@ class Tare:
     def __init__(self, n_outputs: int, bias: Array | None = None) -> None:
         self.bias = np.zeros(n_outputs) if bias is None else bias
         self._residuals: deque[tuple[int, Array]] = deque()
+        self._came = 0.0
+        """[s] When the latest came, by time.monotonic: stamps stand still where samples end."""
 
     @property
     def bias(self) -> Array:
@@ -42,6 +47,7 @@ class Tare:
         if not ready:
             return
         self._residuals.append((stamp, residual))
+        self._came = time.monotonic()
         while not 0 <= stamp - self._residuals[0][0] <= WINDOW_NS:
             self._residuals.popleft()
 
@@ -50,7 +56,7 @@ class Tare:
 
         Raises SemiparamError, with the bias as it was, when there is nothing to go by, or only absurd predictions.
         """
-        if not self._residuals:
+        if not self._residuals or time.monotonic() - self._came > OLDEST_S:
             raise SemiparamError('there is no prediction of the last second to tare by; the initial window must be '
                                  'over and samples must come.')
         count = len(self._residuals)

@@ -57,6 +57,13 @@ class Cut:
     until_s: float | None = None
     until_stamp_s: float | None = None
 
+    def __post_init__(self) -> None:
+        for what, value in (('start offset', self.start_offset_s), ('duration', self.duration_s),
+                            ('end', self.until_s), ('end stamp', self.until_stamp_s)):
+            if value is not None and not 0.0 <= value < float('inf'):
+                raise SemiparamError(f'the {what} of the playback must be a number of seconds of at least 0, got '
+                                     f'{value:g}.')
+
     def bounds(self, start_ns: int, end_ns: int) -> tuple[int, int]:
         """Bag times [ns] of the part, first and last; SemiparamError when nothing is left."""
         first = start_ns + _nanoseconds(self.start_offset_s)

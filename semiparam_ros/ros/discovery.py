@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 
 from rcl_interfaces.msg import ParameterType, ParameterValue
 from rcl_interfaces.srv import GetParameters
+from rclpy.exceptions import InvalidTopicNameException
+from rclpy.expand_topic_name import expand_topic_name
 from rclpy.node import Node
 from rclpy.topic_endpoint_info import TopicEndpointInfo
+from rclpy.validate_full_topic_name import validate_full_topic_name
 
+from semiparam_ros.errors import SemiparamError
 from semiparam_ros.ros.context import call_in_executor
 
 POLL_S = 0.02
@@ -46,6 +50,22 @@ def owner(info: TopicEndpointInfo) -> str:
 def is_named(info: TopicEndpointInfo) -> bool:
     """Tell whether the node behind an endpoint is known by name."""
     return bool(info.node_name != _UNKNOWN)
+
+
+def name_fault(topic: str) -> str:
+    """What makes a name none of a topic, in the words of rcl; '' where nothing does."""
+    try:
+        validate_full_topic_name(expand_topic_name(topic, 'node', '/'))
+    except (InvalidTopicNameException, ValueError) as error:
+        return str(error).splitlines()[0].split(': ', 1)[1].split(', at /')[0].rstrip(':')
+    return ''
+
+
+def require_topic_names(names: Iterable[str]) -> None:
+    """Raise SemiparamError for the first that is none."""
+    for name in names:
+        if fault := name_fault(name):
+            raise SemiparamError(f'{name!r} is no name of a topic: {fault}.')
 
 
 def handshake(node: Node, other: str, stopping: threading.Event, parameter: str = '') -> int | None:

@@ -27,8 +27,8 @@ def lossless(qos: Qos) -> Qos:
 
 
 def to_rclpy(qos: Qos) -> QoSProfile:
-    """The profile that rclpy takes."""
-    return QoSProfile(history=HistoryPolicy[qos.history.upper()], depth=qos.depth,
+    """The profile that rclpy takes; the usual depth where a recorder did not know it and wrote 0."""
+    return QoSProfile(history=HistoryPolicy[qos.history.upper()], depth=qos.depth if qos.depth > 0 else Qos().depth,
                       reliability=ReliabilityPolicy[qos.reliability.upper()],
                       durability=DurabilityPolicy[qos.durability.upper()],
                       deadline=_duration(qos.deadline_ns), lifespan=_duration(qos.lifespan_ns),

@@ -185,6 +185,7 @@ def test_profiles_of_every_metadata_version_are_understood():
           '  deadline: {sec: 9223372036, nsec: 854775807}\n'
     assert parse_profiles(old) == (Qos('keep_last', 0, 'best_effort', 'transient_local'),)
     assert parse_profiles(dump_profiles([LATCHED, Qos()])) == (LATCHED, Qos())
+    assert parse_profiles('- deadline: {sec: x, nsec: .inf}') == (Qos(),)
     assert parse_profiles('') == parse_profiles(None) == parse_profiles('][') == parse_profiles('3') == ()
 
 
@@ -387,3 +388,14 @@ def test_a_recording_of_some_joints_names_the_parameter_that_tells_which(tmp_pat
                                              'not given, so every moving joint of the robot description is expected; '
                                              r'name in it those that the recording has\.$'):
         load_samples(path, Settings(sensor_frame='ft'))
+
+
+@pytest.mark.parametrize('action', ['flush', 'close'])
+def test_a_full_disk_is_one_sentence(tmp_path, action):
+    """A recorder whose disk filled up ended by an internal error."""
+    (tmp_path / 'a.mcap.partial').symlink_to('/dev/full')
+    bag = BagWriter(tmp_path / 'a.mcap')
+    bag.write('/text', STRING, {'data': 'text'}, 0)
+    with pytest.raises(SemiparamError, match=r"a\.mcap' cannot be written: No space left on device"):
+        getattr(bag, action)()
+    bag.abort()

@@ -15,6 +15,7 @@ from semiparam_ros import __version__
 from semiparam_ros.atomic_write import write_text
 from semiparam_ros.cli import main as cli
 from semiparam_ros.cli.options import write_json
+from semiparam_ros.cli.run import check_file
 from semiparam_ros.errors import SemiparamError
 from support.recordings import write_arm, write_params
 
@@ -192,3 +193,14 @@ def test_a_written_file_is_as_readable_as_any_other(tmp_path):
     write_text(tmp_path / 'a', 'text')
     (tmp_path / 'b').write_text('text')
     assert (tmp_path / 'a').stat().st_mode == (tmp_path / 'b').stat().st_mode
+
+
+@pytest.mark.parametrize('rules', [['__ns:=/left', '__name:=arm'], ['arm:__ns:=/left', 'estimator:__node:=arm'],
+                                   ['__ns:=/left', '__node:=arm', '__ns:=/right', '__node:=hand']])
+def test_run_checks_a_file_for_the_name_that_ros_gives_the_node(tmp_path, rules):
+    """It refused files that fitted: of all ways to rename a node it knew one."""
+    path = tmp_path / 'p.yaml'
+    path.write_text('/left/arm: {ros__parameters: {variant: P}}')
+    check_file(path, ['--ros-args', *(argument for rule in rules for argument in ('-r', rule))])
+    with pytest.raises(SemiparamError, match='ROS gives no section to the node /estimator'):
+        check_file(path, [])

@@ -856,3 +856,23 @@ def append_and_perhaps_die(path):
         if path.name == 'stopped':
             os.kill(os.getpid(), signal.SIGSTOP)
     return path.name
+
+
+def test_only_a_change_of_the_model_tells_of_the_model_that_is_being_built():
+    """Pausing meanwhile was answered by that, and said to have failed where the model could not be built."""
+    stage = Stage(replace(SETTINGS, variant='P'))
+    stage.offer_and_build(motion(200))
+    wanted = replace(SETTINGS, variant='NP-ML')
+    assert 'is being built' in stage.learner.change(wanted)
+    assert stage.learner.change(replace(wanted, learning=False)) == ''
+
+
+def test_a_tare_long_after_the_last_sample_is_refused(monkeypatch):
+    """It took the residuals of the last second before the sensor fell silent, an hour ago."""
+    tare = Tare(6)
+    tare.add(0, np.ones(6), True)
+    now = time.monotonic()
+    monkeypatch.setattr(time, 'monotonic', lambda: now + 3600.0)
+    with pytest.raises(SemiparamError, match='samples must come'):
+        tare.take()
+    assert not tare.active

@@ -1,6 +1,7 @@
 """What is played of a bag, in which order and under which name; stamps in serialised messages."""
 
 import array
+from math import inf, nan
 
 import pytest
 from hypothesis import given
@@ -72,6 +73,14 @@ def test_every_way_to_name_the_end(bag, cut):
 def test_a_part_of_nothing_is_refused(bag):
     with pytest.raises(SemiparamError, match='begin 8 s after the start and end 3 s after it'):
         timeline(bag, cut=Cut(start_offset_s=8.0, until_s=3.0))
+
+
+@pytest.mark.parametrize('cut', [{'start_offset_s': nan}, {'start_offset_s': -1.0}, {'duration_s': inf},
+                                 {'until_s': nan}, {'until_stamp_s': inf}])
+def test_times_that_are_none_are_refused(cut):
+    """As internal error: cannot convert float NaN to integer."""
+    with pytest.raises(SemiparamError, match='of the playback must be a number of seconds'):
+        Cut(**cut)
 
 
 def test_order_by_publish_time(bag):

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from geometry_msgs.msg import WrenchStamped
 from rcl_interfaces.msg import ParameterType
+from rcl_interfaces.srv import SetParameters
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
@@ -22,8 +23,9 @@ from semiparam_ros.online import desired_state as feedforward
 from semiparam_ros.settings import dump_params
 from semiparam_ros.settings.build import build_estimator
 from semiparam_ros.settings.parameter_table import PARAMETERS
-from support.node_client import BEST_EFFORT, Client, NodeProcess
+from support.node_client import BEST_EFFORT, Client, NodeProcess, messages
 from support.node_helpers import BODY, JOINTS, PERIOD_NS, SETTINGS, URDF, faster, motion, write_bag
+from support.replay_peers import Tool
 
 LIVE = replace(SETTINGS, acceleration_source='measured')
 pytestmark = pytest.mark.usefixtures('module_domain')
@@ -386,3 +388,17 @@ def test_a_start_that_cannot_succeed_ends_with_one_sentence(tmp_path, text, sent
     assert result.returncode == 2
     assert sentence in result.stderr and 'Traceback' not in result.stderr
     assert result.stderr.count('\n') == 1
+
+
+def test_a_recording_that_starts_again_loses_no_sample_where_the_clock_is_simulated(tmp_path, ros_domain):
+    """What had come before the word of /clock was dropped, a few samples each time."""
+    write_bag(tmp_path / 'a.mcap', motion(50))
+    dump_params(replace(SETTINGS, variant='P', acceleration_source='measured'), tmp_path / 'p.yaml')
+    with NodeProcess(tmp_path, tmp_path / 'p.yaml', '-p', 'use_sim_time:=true'), Client() as client:
+        client.connect()
+        with Tool(tmp_path, 'replay', tmp_path / 'a.mcap', '--follow', '/estimator/residual', '--rate', 4, '--loop',
+                  '--clock', 200, '--answer-timeout', 10) as replay:
+            client.wait(lambda: len(client.heard['residual']) > 500, 'ten rounds')
+            client.call(SetParameters, '/bag_replay/set_parameters',
+                        SetParameters.Request(parameters=messages({'loop': False})))
+            assert replay.wait() == 0, replay.output  # all are answered

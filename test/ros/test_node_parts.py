@@ -7,13 +7,16 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 
 from semiparam_ros.online.identified_parameters import reported_load
+from semiparam_ros.ros.estimator.autosave import Autosave
 from semiparam_ros.ros.estimator.diagnosing import Diagnosing, Running
 from semiparam_ros.ros.estimator.diagnostics import (
     OK,
     REPORTS,
     WARN,
+    Reports,
     Tally,
     believed_load,
     learning_report,
@@ -21,9 +24,11 @@ from semiparam_ros.ros.estimator.diagnostics import (
     payload_sentence,
     stage_of,
 )
-from semiparam_ros.ros.estimator.publishers import HorizonMessage, inertia_message
+from semiparam_ros.ros.estimator.publishers import HorizonMessage, Outputs, inertia_message
+from semiparam_ros.ros.estimator.robot import Robot
+from semiparam_ros.settings.build import declared_effects
 from support.learner_stage import Stage
-from support.node_helpers import SETTINGS, motion
+from support.node_helpers import BODY, SETTINGS, URDF, motion
 
 AXES = ('fx', 'fy', 'fz', 'tx', 'ty', 'tz')
 WRENCHES = ('/wrench', '/estimator/predicted_wrench', '/estimator/residual')
@@ -162,7 +167,70 @@ def test_a_diagnosis_leaves_out_contacts_and_says_so():
     node = SimpleNamespace(get_logger=lambda: SimpleNamespace(info=told.append))
     diagnosing._node, diagnosing._background, diagnosing._learner = node, background, lambda: stage.learner
     diagnosing._progress = SimpleNamespace(publish=lambda message: None)
-    diagnosing._running = Running(None, stage.learner.history.span(8.0), (), 0.0, None)
+    diagnosing._running = Running(None, stage.learner.history.span(8.0), ('taken off',), (), 0.0, None)
     diagnosing._look(1.0)
     assert asked[0][-1] == stage.learner.changes.contacts
+    assert asked[0][-2] == ('taken off',), 'of the samples; a reset meanwhile has forgotten it'
     assert re.search(r'evenly spread over 8 s, but for 2\.0 s of contacts', told[0]), told
+
+
+def test_a_diagnosis_that_another_call_has_applied_meanwhile_is_said_to_be_declared():
+    """It said that there was another diagnosis by now."""
+    settings, replies = replace(SETTINGS, effects=('sensor_drift',)), []
+    found = SimpleNamespace(effects=tuple(declared_effects(settings)))
+    diagnosing = Diagnosing.__new__(Diagnosing)
+    diagnosing._running, diagnosing._outcome, diagnosing._examined = None, found, ()
+    diagnosing._parameters = SimpleNamespace(settings=settings)
+    diagnosing._declare(lambda *reply, **_: replies.append(reply), found, None, None)
+    assert replies == [('the effects of the last diagnosis are declared already: sensor_drift.',)]
+
+
+def test_the_first_robot_description_may_come_again_after_another_one():
+    """It was taken for another one."""
+    told, known = [], []
+    robot = Robot(replace(SETTINGS, robot_description=''), known.append, told.append)
+    for text in (URDF, f'{URDF} ', URDF):
+        robot.from_topic(text)
+    assert len(known) == 1 and len(told) == 1
+
+
+def test_feedforward_before_the_first_wrench_has_the_sensors_frame():
+    """It had none: a saved state answers before the sensor does."""
+    outputs = Outputs(SimpleNamespace(create_publisher=lambda *_: None), 'wrench')
+    outputs.open(BODY)
+    assert outputs.frame_id == 'ft'
+
+
+def test_after_a_reset_nothing_is_reported_of_the_model_before():
+    """Its horizon errors were, and that joints had moved enough."""
+    stage = Stage(replace(SETTINGS, variant='P'))
+    stage.offer_and_build(motion(200))
+    stage.offer(motion(260)[200:])
+    reports = Reports.__new__(Reports)
+    reports.tally, reports._history, reports._learner = Tally(BODY.joints), None, lambda: stage.learner
+    for answer in stage.answers:
+        reports.tally.add(answer)
+    reports.tally.errors = stage.errors[-1]
+    assert 'horizon error fx' in reports._model().values
+    stage.learner.reset()
+    assert 'horizon error fx' not in reports._model().values
+    still = motion(1)[0]
+    for number in range(5):
+        stage.learner.offer(still._replace(stamp=still.stamp + number))
+        reports.tally.add(stage.answers[-1])
+    assert 'joint a has moved 0.000 rad only' in reports._model().message
+
+
+@pytest.mark.parametrize(('busy', 'sentence'), [(True, 'the one before it is still being written.'),
+                                                (False, 'Permission denied')])
+def test_a_node_ends_and_says_why_there_is_no_checkpoint_of_the_end(busy, sentence):
+    """It said nothing while a disk hung, and ended by an exception of any other error."""
+    told = []
+
+    def save(state):
+        raise PermissionError('Permission denied')
+    autosave = Autosave.__new__(Autosave)
+    autosave._active, autosave._state, autosave._refuse = True, lambda: 'state', told.append
+    autosave.checkpoints = SimpleNamespace(wait=lambda: None, busy=busy, save=save, news=[])
+    autosave.close()
+    assert told == [f'there is no checkpoint of the end: {sentence}']

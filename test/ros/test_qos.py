@@ -1,9 +1,16 @@
 """Quality of service: the overrides file, conversion to rclpy and back, and subscriptions that match."""
 
 import pytest
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSCompatibility, ReliabilityPolicy, qos_check_compatible
+from rclpy.qos import (
+    DurabilityPolicy,
+    HistoryPolicy,
+    LivelinessPolicy,
+    QoSCompatibility,
+    ReliabilityPolicy,
+    qos_check_compatible,
+)
 
-from semiparam_ros.bags.qos import LATCHED, Qos
+from semiparam_ros.bags.qos import LATCHED, Qos, parse_profiles
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.playback.keyboard import split_keys
 from semiparam_ros.ros.recorded_qos import from_rclpy, load_overrides, lossless, overridden, subscription_qos, to_rclpy
@@ -50,6 +57,8 @@ def test_what_rclpy_gets():
     assert profile.reliability == ReliabilityPolicy.RELIABLE
     assert profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
     assert from_rclpy(to_rclpy(LATCHED)) == Qos(durability='transient_local')
+    assert to_rclpy(Qos(depth=0)).depth == 10  # as a recorder writes that did not know it; rclpy warned
+    assert to_rclpy(*parse_profiles('- liveliness: 2')).liveliness == LivelinessPolicy.AUTOMATIC  # not of rclpy
 
 
 def test_lossless_is_reliable_and_keeps_everything_but_a_latched_topic_only_its_last():

@@ -6,13 +6,20 @@ import subprocess
 import time
 from contextlib import contextmanager
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
+from builtin_interfaces.msg import Time
+from rcl_interfaces.msg import Parameter, ParameterValue
+from rcl_interfaces.srv import SetParameters
 from rosbags.highlevel import AnyReader
 
+from semiparam_ros.bags.qos import Qos
 from semiparam_ros.bags.reader import open_bag
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.ros.message_types import message_class
+from semiparam_ros.ros.record import topics
+from semiparam_ros.ros.record.node import RecordNode
 from semiparam_ros.ros.record.options import Limits, RecordOptions, parse_count
 from support.commands import refusal
 from support.node_client import stamp_of
@@ -20,6 +27,9 @@ from support.node_helpers import JOINTS, SETTINGS, motion
 from support.replay_peers import EVERYTHING, LATCHED, STATES, TEXT, WRENCH, Peer, Tool, write_robot
 
 pytestmark = pytest.mark.usefixtures('ros_domain')
+
+CLOCK = 'rosgraph_msgs/msg/Clock'
+TIME = message_class(CLOCK)(clock=Time(sec=100))
 
 
 class Source(Peer):
@@ -104,6 +114,22 @@ def test_a_signal_ends_it_and_the_file_is_whole(tmp_path):
     assert record.said('recorded 50 messages') and not list(tmp_path.glob('*.partial'))
 
 
+def test_a_call_that_makes_no_sense_does_not_end_it(tmp_path):
+    """A parameter of a type that there is not: the recording broke off."""
+    out = tmp_path / 'out.mcap'
+    with recorder(out) as (source, wrench, record):
+        client = source.node.create_client(SetParameters, '/bag_record/set_parameters')
+        source.wait_for(client.service_is_ready)
+        source.meet('bag_record')
+        call = client.call_async(SetParameters.Request(parameters=[Parameter(value=ParameterValue(type=77))]))
+        source.wait_for(call.done)
+        assert not call.result().results[0].successful
+        wrench.publish(message_class(WRENCH)())
+        record.interrupt()
+        assert record.wait() == 0, record.output
+    assert topics_of(out) == {'/wrench': 1}
+
+
 def test_what_was_published_before_the_signal_is_recorded_also_after_a_pause(tmp_path):
     out = tmp_path / 'out.mcap'
     with recorder(out) as (_, wrench, record):
@@ -162,6 +188,40 @@ def test_a_best_effort_publisher_that_comes_later_is_heard(tmp_path):
         assert bag.topics['/wrench'].qos.reliability == 'best_effort' and bag.topics['/wrench'].count == 3
 
 
+def test_a_simulated_time_is_waited_for_and_what_came_before_it_has_its_beginning(tmp_path):
+    """A latched description had the time 0, so that a playback waited for the rest for years."""
+    out = tmp_path / 'out.mcap'
+    with Source() as source:
+        source.offer('/robot_description', TEXT, LATCHED).publish(message_class(TEXT)())
+        wrench, clock = source.offer('/wrench', WRENCH), source.offer('/clock', CLOCK)
+        with Tool(tmp_path, 'record', out, '--topics', '/robot_description', '/wrench', '--count', 'wrench=5',
+                  '--ros-args', '-p', 'use_sim_time:=true') as record:
+            source.wait_for_listeners(wrench, clock)
+            source.wait_for(lambda: clock.publish(TIME) or record.said('recording 2 topics'))
+            for number in range(5):
+                wrench.publish(message_class(WRENCH)())
+                if number == 3:
+                    time.sleep(0.5)  # the clock comes on another topic
+                    clock.publish(message_class(CLOCK)(clock=Time(sec=99)))
+                    time.sleep(0.5)
+            assert record.wait() == 0, record.output
+    assert record.said('the clock went back meanwhile')
+    with open_bag(out) as bag:
+        assert bag.start_ns == 99 * 10**9 and bag.end_ns == 100 * 10**9
+        assert {topic: info.count for topic, info in bag.topics.items()} == {'/robot_description': 1, '/wrench': 5}
+
+
+def test_of_several_offers_the_one_is_recorded_that_every_subscriber_can_use(monkeypatch):
+    """The first was: of best effort, a replay of it reached no reliable subscriber."""
+    recorded = []
+    monkeypatch.setattr(topics, 'offers', lambda node, topic: [Qos(reliability='best_effort', depth=3), Qos(depth=2)])
+    node = RecordNode.__new__(RecordNode)
+    node._writer = SimpleNamespace(add_topic=lambda *topic: recorded.append(topic), write_raw=lambda *message: None)
+    node.counts, node._types, node._limits = {'/a': 0}, {'/a': TEXT}, Limits()
+    node._write('/a', b'', 1)
+    assert recorded == [('/a', TEXT, Qos(depth=3))]
+
+
 def rclpy_sensor_data():
     from rclpy.qos import qos_profile_sensor_data
     return qos_profile_sensor_data
@@ -170,6 +230,9 @@ def rclpy_sensor_data():
 @pytest.mark.parametrize(('arguments', 'sentence'), [
     (['--node', '/estimatr', '--wait-timeout', 0.3], '/estimatr was not found within 0.3 s'),
     (['--topics', '/wrench', '--wait-timeout', 0.3], '/wrench was not found within 0.3 s'),
+    (['--all', '--wait-timeout', 0.3, '--ros-args', '-p', 'use_sim_time:=true'], '/clock was not found within 0.3 s'),
+    (['--topics', '/a-b'], "'/a-b' is no name of a topic"),
+    (['--all', '--count', '/a/=3'], "'/a/' is no name of a topic"),
     (['--all', '--duration', 0.3], 'nothing was recorded'),
 ])
 def test_mistakes_are_one_sentence_and_leave_no_file(tmp_path, arguments, sentence):
@@ -196,6 +259,9 @@ def test_an_older_file_is_not_replaced_unless_asked(tmp_path):
     with pytest.raises(SemiparamError, match='exists already'):
         RecordOptions(out, topics=('/wrench',))
     RecordOptions(out, topics=('/wrench',), overwrite=True)
+    (tmp_path / 'other.mcap.partial').write_bytes(b'of one that was killed')
+    with pytest.raises(SemiparamError, match='holds a recording that broke off'):
+        RecordOptions(tmp_path / 'other.mcap', topics=('/wrench',))
     with pytest.raises(SemiparamError, match='expected a node, a topic'):
         RecordOptions(tmp_path / 'new.mcap')
 

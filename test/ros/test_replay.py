@@ -7,20 +7,31 @@ import select
 import signal
 import sys
 import time
+from math import inf, nan
+from pathlib import Path
 from types import SimpleNamespace
 from unittest.mock import patch
 
 import pytest
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import GetParameters, SetParameters
+from rclpy.parameter import Parameter as RosParameter
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile
 from rclpy.topic_endpoint_info import TopicEndpointInfo
+from rich.console import Console
 from std_srvs.srv import Trigger
 
+from semiparam_ros.bags.base import TopicInfo
 from semiparam_ros.bags.header_stamp import read_stamp
 from semiparam_ros.bags.qos import Qos
 from semiparam_ros.bags.reader import open_bag
 from semiparam_ros.bags.writer import BagWriter
+from semiparam_ros.errors import SemiparamError
+from semiparam_ros.playback.options import FollowOptions, ReplayOptions
+from semiparam_ros.playback.player import Player
+from semiparam_ros.ros.replay.controls import ReplayControls
+from semiparam_ros.ros.replay.follower import Follower
+from semiparam_ros.ros.replay.session import ReplaySession
 from semiparam_ros.ros.replay.subscribers import NAMED_S, SETTLE_S, SubscriberCheck, owner
 from support.commands import refusal
 from support.replay_peers import (
@@ -367,3 +378,67 @@ def test_the_program_of_its_own_name_takes_ros_arguments(tmp_path):
         replayed(tmp_path, bag, '--wait-for-subscribers', '--ros-args', '-r',
                  '/wrench:=/arm/wrench', '-p', 'rate:=5.0')
     assert len(peer.heard['/arm/wrench']) == 50
+
+
+
+def topics_played(topics, **options):
+    """Names and reasons of what a playback plays of a bag with topics of these types, and what it does not."""
+    session = ReplaySession(ReplayOptions((Path('a.mcap'),), **options), Console(quiet=True), [])
+    played, skipped = session._topics(SimpleNamespace(topics=topics))
+    return [topic.name for topic in played.values()], list(skipped.values())
+
+
+def test_what_a_follower_publishes_is_played_under_another_name():
+    topics = {topic: TopicInfo(WRENCH, 1, Qos()) for topic in ('/wrench', '/estimator/residual')}
+    options = {'follow': FollowOptions({'/estimator/residual': None}), 'rate': None}
+    assert topics_played(topics, **options)[0] == ['/wrench']
+    names = topics_played(topics, **options, remap={'/estimator/residual': '/before/residual'})[0]
+    assert names == ['/wrench', '/before/residual']
+
+
+def test_topics_of_two_types_are_not_played_on_one():
+    """The bytes of the one were published as the other's."""
+    topics = {'/a': TopicInfo(WRENCH, 1, Qos()), '/b': TopicInfo(STATES, 1, Qos()), '/c': TopicInfo(WRENCH, 1, Qos())}
+    with pytest.raises(SemiparamError, match='both cannot be played on /x'):
+        topics_played(topics, remap={'/a': '/x', '/b': '/x'})
+    assert topics_played(topics, remap={'/a': '/x', '/c': '/x'})[0] == ['/x', '/b', '/x']
+
+
+def test_messages_of_another_encoding_are_not_published():
+    topics = {'/a': TopicInfo(WRENCH, 1, Qos()), '/b': TopicInfo(STATES, 1, Qos(), encoding='json')}
+    assert topics_played(topics) == (['/a'], ["/b is not played: its messages are encoded as 'json'; expected cdr, as "
+                                              'ROS 2 records them.'])
+
+
+@pytest.mark.parametrize('clock', [{'clock_hz': 40.0}, {'clock_before_each': True}, {}])
+def test_there_is_one_clock(clock):
+    """That of the bag came between the times of the playback."""
+    topics = {'/a': TopicInfo(WRENCH, 1, Qos()), '/clock': TopicInfo('rosgraph_msgs/msg/Clock', 1, Qos())}
+    assert topics_played(topics, **clock)[0] == (['/a'] if clock else ['/a', '/clock'])
+
+
+def test_answers_that_the_playback_publishes_itself_are_refused():
+    """Those in the bag counted as the follower's, which said nothing: 200 of 200 answered."""
+    node = SimpleNamespace(resolve_topic_name='/{}'.format, outputs={'/a': SimpleNamespace(topic_name='/a')})
+    with pytest.raises(SemiparamError, match='/a is played itself'):
+        Follower(node, 'a', None, FollowOptions({'a': None}), 1.0, None, None)
+
+
+@pytest.mark.parametrize('value', [nan, inf])
+def test_a_time_that_is_none_is_no_place_to_go_to(value):
+    """The call had no answer, and the playback broke off."""
+    controls = ReplayControls.__new__(ReplayControls)
+    controls._start_ns = START
+    controls._player = Player(SimpleNamespace(start_ns=START, end_ns=START + SECOND), None)
+    assert not controls._validate([RosParameter('seek_to', value=value)]).successful
+
+
+def test_topics_by_names_that_ros_does_not_have_are_left_out_or_refused():
+    """One of a stranger's bag ended the playback by an internal error."""
+    topics = {topic: TopicInfo(WRENCH, 1, Qos()) for topic in ('/a', '/force-torque', '/a//b')}
+    names, skipped = topics_played(topics)
+    assert names == ['/a'] and len(skipped) == 2 and skipped[1].endswith("topic name must not contain repeated '/'.")
+    assert topics_played(topics, remap={'/force-torque': '/force_torque'})[0] == ['/a', '/force_torque']
+    for options in ({'remap': {'/a': '/a-b'}}, {'follow': FollowOptions({'/a-b': None})}):
+        with pytest.raises(SemiparamError, match="'/a-b' is no name of a topic: topic name must not contain char"):
+            topics_played(topics, **options)

@@ -90,13 +90,15 @@ class Autosave:
     def close(self) -> None:
         """Save once more, for the node ends."""
         self.checkpoints.wait()
-        if not self._active or self.checkpoints.busy:
+        if not self._active:
             return
         try:
+            if self.checkpoints.busy:
+                raise SemiparamError('the one before it is still being written.')
             state = self._state()
             if state is not None:
                 self.checkpoints.save(state)
-        except SemiparamError as error:
+        except Exception as error:  # whatever it is, the node is to end as it does otherwise
             self._refuse(f'there is no checkpoint of the end: {error}')
         self._tell_news()
 

@@ -14,6 +14,7 @@ from std_msgs.msg import String
 from semiparam_ros.effects import Effect, effects_to_parameters
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online import diagnosis_jobs
+from semiparam_ros.online.applied_effects import Contribution
 from semiparam_ros.online.diagnosis_jobs import DiagnosisOutcome, Progress
 from semiparam_ros.online.history import SampleBatch
 from semiparam_ros.online.learner import Learner
@@ -30,10 +31,11 @@ SURE = 12.0
 
 
 class Running(NamedTuple):
-    """A diagnosis that somebody waits for: of which samples, beside which declared effects."""
+    """A diagnosis that somebody waits for: of which samples, what was taken off them, beside which declared effects."""
 
     reply: Reply
     samples: SampleBatch
+    taken_off: tuple[Contribution, ...]
     effects: tuple[Effect, ...]
     begun: float  # by time.monotonic
     job: Job
@@ -101,7 +103,11 @@ class Diagnosing:
         try:
             if error is not None:
                 raise error
-            if self._found() is not found:
+            now = self._found()
+            if isinstance(now, str):
+                reply(now)
+                return
+            if now is not found:
                 raise SemiparamError('there is another diagnosis by now; look at it, then apply it.')
             if gain is not None and gain < -SURE:
                 raise SemiparamError(f'what came since the diagnosis is better predicted without the effects that it '
@@ -154,7 +160,8 @@ class Diagnosing:
         job = self._background.submit(diagnosis_jobs.processor_share, done=partial(self._then, self._look))
         # Those that are wanted now, whether their model answers already or is still being built.
         effects = tuple(declared_effects(self._parameters.settings))
-        self._running = Running(reply, samples, effects, time.monotonic(), job)
+        taken_off = tuple(learner.changes.applied.contributions)
+        self._running = Running(reply, samples, taken_off, effects, time.monotonic(), job)
         self._tell(Progress('begins', diagnosis_jobs.expected_s(min(len(samples), diagnosis_jobs.SAMPLES_AT_MOST))))
 
     def _then(self, follow: Callable[[Result], None], result: Result | None, error: BaseException | None) -> None:
@@ -180,7 +187,7 @@ class Diagnosing:
         contacts = learner.changes.contacts
         looked += _left_out(samples, contacts)
         job = self._background.submit(diagnosis_jobs.diagnose, learner.body, part, self._running.effects,
-                                      tuple(learner.changes.applied.contributions), contacts,
+                                      self._running.taken_off, contacts,
                                       done=partial(self._then, partial(self._conclude, looked)))
         self._running = self._running._replace(job=job)
         self._node.get_logger().info(f'a diagnosis looks at {looked}, in a process beside the node.')

@@ -20,6 +20,7 @@ from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.errors import listed, shortened
 from semiparam_ros.online.contact_gate import ContactGate
 from semiparam_ros.online.feedforward import Feedforward
+from semiparam_ros.online.history import History
 from semiparam_ros.online.identified_parameters import (
     MOVED_ENOUGH,
     CarriedLoad,
@@ -36,10 +37,12 @@ from semiparam_ros.online.model_switcher import State
 from semiparam_ros.ros.context import steady_timer
 from semiparam_ros.ros.estimator.consistent import ConsistentBodies, ConsistentTopic
 from semiparam_ros.ros.estimator.publishers import inertia_message
-from semiparam_ros.ros.estimator.subscriptions import WRENCH, InputStream
+from semiparam_ros.ros.estimator.subscriptions import ACCELERATIONS, WRENCH, InputStream
 
 DESCRIPTION, PARAMETERS = 'robot_description', 'parameters'
 CHECKPOINTS = 'checkpoints'
+NO_MESSAGES = PARAMETERS, CHECKPOINTS
+"""What is refused there came on no topic, and is told elsewhere."""
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 SILENCE_S = 1.0
@@ -54,7 +57,7 @@ PERIOD_S = 1.0
 
 
 class Rejections:
-    """Counts by where they came in, and the last sentence of a topic; callers of services have theirs in the reply."""
+    """Counts by where they came in, and the last sentence of a topic."""
 
     def __init__(self) -> None:
         self.counts: Counter[str] = Counter()
@@ -65,13 +68,13 @@ class Rejections:
     def add(self, where: str, sentence: str) -> None:
         """One more."""
         self.counts[where] += 1
-        if where != PARAMETERS:
+        if where not in NO_MESSAGES:
             self.last = self.sentences[where] = shortened(sentence)
 
     @property
     def on_topics(self) -> Counter[str]:
         """Numbers of messages refused, by topic."""
-        return Counter({where: count for where, count in self.counts.items() if where != PARAMETERS})
+        return Counter({where: count for where, count in self.counts.items() if where not in NO_MESSAGES})
 
 
 class InternalErrors:
@@ -160,6 +163,7 @@ class InputReport:
         self._since = time.monotonic()
         self._before: Counter[str] = Counter()
         self._refused: Counter[str] = Counter()
+        self._warned: set[str] = set()
         self._elsewhere = 0
         self._last = ''
 
@@ -178,8 +182,9 @@ class InputReport:
         values |= {f'refused: {reason}': count for reason, count in sorted((faults + self._rejections.counts).items())}
         elsewhere = self._rejections.on_topics
         refused = faults + elsewhere
-        for reason in faults.keys() - self._refused.keys():
+        for reason in (+faults).keys() - self._warned:  # a count goes back to 0 when the clock turns out to have jumped
             assert stream is not None  # it counts them
+            self._warned.add(reason)
             self._warn(f'refused: {stream.sentences[reason]} Further ones of this kind are counted on /diagnostics.')
         news, self._refused = refused - self._refused, refused
         self._last, self._elsewhere = self._latest(elsewhere.total(), bool(news)), elsewhere.total()
@@ -213,7 +218,10 @@ class InputReport:
                                 f'go on with the last one.{self._ignored()}', values)
         stream = self._inputs.stream
         estimated = stream is not None and not stream.velocities_measured
-        return Report(OK, f'receiving{"; velocities are estimated from the positions" * estimated}.', values)
+        late = stream is not None and not stream.takes_accelerations and self._inputs.counts[ACCELERATIONS] > 0
+        told = ['receiving', *['velocities are estimated from the positions'] * estimated,
+                *['joint_accelerations came after the first joint state, and are not used'] * late]
+        return Report(OK, f'{"; ".join(told)}.', values)
 
     def _refusals(self, news: Counter[str]) -> str:
         """What was refused since the last report: the last sentence of each reason."""
@@ -373,7 +381,8 @@ def model_report(learner: Learner, tally: Tally) -> Report:
                             f'{REPORTS} s: the robot has changed, or is touched.', values)
     if sentences:
         return Report(WARN, f'{sentences[0]}.', values)
-    return Report(OK, 'the outputs are as predicted.' if innovation is not None else 'no prediction yet.', values)
+    told = 'the outputs are as predicted.' if innovation is not None else 'no prediction in the last second.'
+    return Report(OK, told, values)
 
 
 def feedforward_report(feedforward: Feedforward) -> Report:
@@ -462,6 +471,8 @@ class Reports:
                  others: Mapping[str, Callable[[], Report]], duplicates: Callable[[], str],
                  unseen: Callable[[], str], consistent: ConsistentTopic) -> None:
         self.tally = Tally(())
+        self._history: History | None = None
+        """That of the learner whose answers are counted."""
         self._consistent = consistent
         self._published: ConsistentBodies | None = None
         self._news = self._robot_name = self._stage = self._known_duplicates = ''
@@ -538,7 +549,12 @@ class Reports:
 
     def _model(self) -> Report | None:
         learner = self._learner()
-        return None if learner is None else model_report(learner, self.tally)
+        if learner is None:
+            return None
+        if self._history not in (None, learner.history):  # after a reset, or a state that was loaded
+            self.tally = Tally(learner.body.joints)
+        self._history = learner.history
+        return model_report(learner, self.tally)
 
     def _parameters(self) -> Report | None:
         learner = self._learner()

@@ -6,14 +6,10 @@ import time
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from rcl_interfaces.msg import SetParametersResult
-from rclpy.clock import JumpThreshold
 from rclpy.duration import Duration
-from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.service import Service
 
 from semiparam_ros.core.horizon_error import HorizonErrors
 from semiparam_ros.core.robot.rigid_body import RigidBody
@@ -24,6 +20,7 @@ from semiparam_ros.online.folder_lock import FolderLock
 from semiparam_ros.online.learner import Answer, Learner, LearnerListener
 from semiparam_ros.online.state_file import SavedState, folder_of
 from semiparam_ros.online.worker import ProcessBackground, Scheduler, Worker
+from semiparam_ros.ros.answering import AnsweringNode
 from semiparam_ros.ros.context import DELIVER_S, destroyed_on_failure
 from semiparam_ros.ros.estimator.autosave import Autosave
 from semiparam_ros.ros.estimator.changing import Changing
@@ -39,7 +36,7 @@ from semiparam_ros.ros.estimator.diagnostics import (
     Reports,
 )
 from semiparam_ros.ros.estimator.outside import Outside
-from semiparam_ros.ros.estimator.parameters import HeldReplies, Parameters, answering
+from semiparam_ros.ros.estimator.parameters import HeldReplies, Parameters
 from semiparam_ros.ros.estimator.publishers import Outputs
 from semiparam_ros.ros.estimator.robot import Robot
 from semiparam_ros.ros.estimator.services import Services, reason
@@ -51,7 +48,7 @@ from semiparam_ros.settings.snapshot import Settings, unknown_name
 NAME = 'estimator'
 
 
-class EstimatorNode(Node, LearnerListener):
+class EstimatorNode(AnsweringNode, LearnerListener):
     """Learns, predicts and publishes.
 
     :param schedule: see :data:`Scheduler`.
@@ -70,6 +67,8 @@ class EstimatorNode(Node, LearnerListener):
 
     def _build(self, schedule: Scheduler, files: Sequence[Path], worker: Worker | None) -> None:
         self.learner: Learner | None = None
+        self._awaited = ''
+        """What was last said of a change of the model."""
         self.errors = InternalErrors(self.get_logger().error, self._complain)
         self._rejections = Rejections()
         self._live = Parameters(self, {name: value.value for name, value in self._parameter_overrides.items()},
@@ -102,16 +101,11 @@ class EstimatorNode(Node, LearnerListener):
         self._autosave = Autosave(self, settings, lock,
                                   lambda: None if self.learner is None else self.learner.state(),
                                   guarded, self._reports.say, partial(self._refuse, CHECKPOINTS))
-        self._watch_clock()
         self._robot.from_parameters()
 
-    def create_service(self, srv_type: Any, srv_name: str, callback: Callable[[Any, Any], Any],
-                       **options: Any) -> Service:
-        """As every node does, but whatever the callback raises, a response is sent: rclpy would send none."""
-        def failed(error: Exception) -> str:
-            return reason(srv_name, error, self.errors)
-
-        return super().create_service(srv_type, srv_name, answering(callback, failed), **options)
+    def failure(self, service: str, error: Exception) -> str:
+        """Our own sentences as they are; anything else is counted as an internal error."""
+        return reason(service, error, self.errors)
 
     @property
     def settings(self) -> Settings:
@@ -223,12 +217,6 @@ class EstimatorNode(Node, LearnerListener):
         """An internal error; the node goes on."""
         self.errors.add(place, error)
 
-    def _watch_clock(self) -> None:
-        """A simulated clock that jumps back, as when a recording starts again."""
-        threshold = JumpThreshold(min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=False)
-        self._jumps = self.get_clock().create_jump_callback(
-            threshold, post_callback=lambda _: self._guarded('the clock', self._inputs.clock_jumped))
-
     # Parameters
 
     def set_parameters_atomically(self, parameter_list: list[Parameter]) -> SetParametersResult:
@@ -271,16 +259,18 @@ class EstimatorNode(Node, LearnerListener):
             return ''
         before = self.learner.settings
         try:
-            return self.learner.change(settings)
+            sentence = self.learner.change(settings)
         except Exception:
             self.learner.settings = before
             raise
+        self._awaited = sentence or self._awaited
+        return sentence
 
     def _announcement(self) -> str:
-        """Sentence that the parameters said last, while a model is being built."""
+        """Sentence that the parameters said of a model, while it is being built."""
         if self.learner is None or self.learner.estimating or self.learner.switcher.successor is None:
             return ''
-        return self._live.news
+        return self._awaited
 
     # What is wrong
 

@@ -5,17 +5,16 @@ the model that it asks for.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from typing import Any, NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
-from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.service import Service
 from rclpy.timer import Timer
 
-from semiparam_ros.errors import SemiparamError, shortened
+from semiparam_ros.errors import SemiparamError
 from semiparam_ros.ros.context import steady_timer
 from semiparam_ros.settings.parameter_table import BY_NAME, PARAMETERS, Parameter
 from semiparam_ros.settings.snapshot import Settings, is_foreign, nearest, refusal, unknown_name
@@ -26,7 +25,6 @@ PATIENCE_S = 1.0
 NAMES = ('/set_parameters', '/set_parameters_atomically')
 Response: TypeAlias = SetParameters.Response | SetParametersAtomically.Response
 
-KNOWN_TYPES = {kind.value for kind in RosParameter.Type}
 ROS_TYPES = {'bool': RosParameter.Type.BOOL, 'integer': RosParameter.Type.INTEGER,
              'double': RosParameter.Type.DOUBLE, 'string': RosParameter.Type.STRING,
              'string_array': RosParameter.Type.STRING_ARRAY, 'double_array': RosParameter.Type.DOUBLE_ARRAY}
@@ -87,57 +85,6 @@ class HeldReplies:
         self.release()  # an earlier wish is overtaken by this one
         self._held.append(reply)
         self._timer = steady_timer(self._node, PATIENCE_S, self.release)
-
-
-def answering(callback: Callable[[Any, Any], Any], failed: Callable[[Exception], str]) -> Callable[[Any, Any], Any]:
-    """A service's callback that returns a response whatever it raises, and one of the parameter services that refuses a
-    value of a type that there is not, where rclpy raises an exception.
-
-    :param failed: takes in what was raised; returns its sentence.
-    """
-    def answer(request: Any, response: Any) -> Any:
-        try:
-            if isinstance(request, SetParameters.Request):
-                response.results = [_set_one(callback, parameter) for parameter in request.parameters]
-                return response
-            if isinstance(request, SetParametersAtomically.Request):
-                refused = next(filter(None, map(wrong_type, request.parameters)), None)
-                if refused is not None:
-                    response.result = SetParametersResult(successful=False, reason=refused)
-                    return response
-            return callback(request, response)
-        except Exception as error:
-            return _filled(type(response)(), request, failed(error))
-
-    return answer
-
-
-def wrong_type(parameter: ParameterMessage) -> str | None:
-    """A sentence for a value of a type that there is not."""
-    if parameter.value.type in KNOWN_TYPES:
-        return None
-    return (f"'{parameter.name}' has a value of the type {parameter.value.type}; expected one of rcl_interfaces/"
-            f'ParameterType, 0 to {max(KNOWN_TYPES)}.')
-
-
-def _set_one(callback: Callable[[Any, Any], Any], parameter: ParameterMessage) -> SetParametersResult:
-    """Each for itself, so that one that is refused keeps no other back."""
-    refused = wrong_type(parameter)
-    if refused is not None:
-        return SetParametersResult(successful=False, reason=shortened(refused))
-    response = callback(SetParameters.Request(parameters=[parameter]), SetParameters.Response())
-    return response.results[0]
-
-
-def _filled(response: Any, request: Any, sentence: str) -> Any:
-    """A response that says what went wrong, where it has room for that."""
-    if isinstance(response, SetParameters.Response):
-        response.results = [SetParametersResult(successful=False, reason=sentence) for _ in request.parameters]
-    elif isinstance(response, SetParametersAtomically.Response):
-        response.result = SetParametersResult(successful=False, reason=sentence)
-    elif hasattr(response, 'message'):
-        response.message = sentence
-    return response
 
 
 def results_of(response: Response) -> Iterator[SetParametersResult]:

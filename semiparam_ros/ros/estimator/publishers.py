@@ -115,6 +115,7 @@ class Outputs:
     def open(self, body: RigidBody) -> None:
         """The robot is known: prepare the messages."""
         wrench = body.outputs == 'wrench'
+        self.frame_id = self.frame_id or body.sensor_frame or ''  # until the input says how its driver calls it
         self._value = ValueMessage(None if wrench else body.output_names)
         self._errors = HorizonMessage(body.output_names, wrench)
         self._level = joint_state_layout('', body.output_names, body.n_outputs, 0, 0)

@@ -39,7 +39,8 @@ class Robot:
 
     def from_topic(self, text: str) -> None:
         """Use the first one that fits; a different one later is not followed, for the model belongs to the first."""
-        if self._settings.robot_description_file or self._settings.robot_description or text == self._latest:
+        given = self._settings.robot_description_file or self._settings.robot_description
+        if given or text in (self._latest, self._text):
             return
         self._latest = text
         if self._text is not None:

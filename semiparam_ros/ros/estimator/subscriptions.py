@@ -40,7 +40,6 @@ MOST_WAITING = 20_000
 ROBOT_DESCRIPTION = 'robot_description'
 JOINT_STATES, WRENCH, ACCELERATIONS = 'joint_states', 'wrench', 'joint_accelerations'
 TEMPERATURE = 'temperature'
-CLOCK = 'clock'
 
 
 class Stopwatch:
@@ -69,10 +68,10 @@ class Stopwatch:
 
 
 class Waiting(NamedTuple):
-    """A message that nobody has looked at yet, and when it came by ``perf_counter``; None: the clock jumped."""
+    """A message that nobody has looked at yet, and when it came by ``perf_counter``."""
 
     topic: str
-    reading: Reading | None
+    reading: Reading
     arrived: float
 
 
@@ -103,7 +102,7 @@ class MessageTurns:
         """Time that the oldest has waited [s]."""
         return time.perf_counter() - self._waiting[0].arrived if self._waiting else 0.0
 
-    def add(self, topic: str, reading: Reading | None) -> None:
+    def add(self, topic: str, reading: Reading) -> None:
         """One has come."""
         self._waiting.append(Waiting(topic, reading, time.perf_counter()))
         self._counts[topic] += 1
@@ -159,10 +158,6 @@ class ClockWatch:
             return []
         jumped, self._held = self._held, []
         return jumped
-
-    def clear(self) -> None:
-        """Start afresh."""
-        self._held.clear()
 
 
 class Feed(NamedTuple):
@@ -226,8 +221,7 @@ class InputStream:
         self.topics = [JOINT_STATES, *([WRENCH] if settings.outputs == 'wrench' else []),
                        *([ACCELERATIONS] if settings.acceleration_source != 'filter' else []),
                        *([TEMPERATURE] if settings.temperatures else [])]
-        self._subscriptions = {topic: self._subscribe(topic, settings.reliability == 'best_effort')
-                               for topic in self.topics}
+        self._subscriptions = {topic: self._subscribe(topic, self._profile()) for topic in self.topics}
         self._oversized = 0
         self._descriptions = [self._listen_to_description(durability) for durability in (
             QoSDurabilityPolicy.TRANSIENT_LOCAL, QoSDurabilityPolicy.VOLATILE)]
@@ -246,16 +240,6 @@ class InputStream:
         for topic, reading in early:
             self._receive(topic, reading, time.perf_counter())
 
-    def clock_jumped(self) -> None:
-        """Forget what waits for its counterpart, once all is worked on that came before."""
-        self.turns.add(CLOCK, None)
-
-    def _jump(self) -> None:
-        self._watch.clear()
-        if self.stream is not None:
-            self.stream.reset()
-        self._listener.clock_jumped()
-
     def publishers(self, topic: str) -> int:
         """Number of publishers of a topic that are heard."""
         return int(self._subscriptions[topic].get_publisher_count())
@@ -264,8 +248,10 @@ class InputStream:
         """Topics that only best_effort publishers serve, which a reliable subscription does not hear: asked anew."""
         silent = [topic for topic, offers in self._unheard_offers() if not self.publishers(topic) and all(offers)]
         for topic in silent:
+            profile = self._subscriptions[topic].qos_profile  # what the parameters have overridden is not to be lost
+            profile.reliability = QoSReliabilityPolicy.BEST_EFFORT
             self._node.destroy_subscription(self._subscriptions[topic])
-            self._subscriptions[topic] = self._subscribe(topic, best_effort=True)
+            self._subscriptions[topic] = self._subscribe(topic, profile)
         return silent
 
     def newly_unheard(self) -> list[str]:
@@ -303,11 +289,14 @@ class InputStream:
                 if offers:
                     yield topic, offers
 
-    def _subscribe(self, topic: str, best_effort: bool) -> Subscription:
-        depth = self._settings.queue_depth
-        profile = QoSProfile(
+    def _profile(self) -> QoSProfile:
+        depth, best_effort = self._settings.queue_depth, self._settings.reliability == 'best_effort'
+        return QoSProfile(
             history=QoSHistoryPolicy.KEEP_LAST if depth else QoSHistoryPolicy.KEEP_ALL, depth=depth,
             reliability=QoSReliabilityPolicy.BEST_EFFORT if best_effort else QoSReliabilityPolicy.RELIABLE)
+
+    def _subscribe(self, topic: str, profile: QoSProfile) -> Subscription:
+        best_effort = profile.reliability == QoSReliabilityPolicy.BEST_EFFORT
         replaceable = self._settings.reliability == 'auto'
         if best_effort:
             self.best_effort.add(topic)
@@ -355,10 +344,7 @@ class InputStream:
 
     def _take(self, message: Waiting) -> None:
         try:
-            if message.reading is None:
-                self._jump()
-            else:
-                self._receive(message.topic, message.reading, message.arrived)
+            self._receive(message.topic, message.reading, message.arrived)
         except Exception as error:
             self._listener.message_failed(message.topic, error)
 
@@ -394,8 +380,7 @@ class InputStream:
         """False for a message of other joints than ours, which is no sign of life of the robot."""
         stream = self.stream
         assert stream is not None
-        ignored = stream.ignored
-        backward, misplaced = stream.faults['backward_stamp'], stream.faults['wrong_frame']
+        ignored, accepted, backward = stream.ignored, stream.accepted, stream.faults['backward_stamp']
         if topic == JOINT_STATES:
             stream.shared = self.publishers(JOINT_STATES) > 1
         samples = FEEDS[topic].kind.feed(stream, reading.stamp, *reading.fields)
@@ -405,23 +390,28 @@ class InputStream:
             return True
         if stream.ignored > ignored:
             return False
+        if stream.accepted > accepted:  # what is refused tells nothing of the robot, nor of its clock
+            self._accepted(topic, reading)
+        for sample in samples:
+            self._listener.sample_completed(sample)
+        return True
+
+    def _accepted(self, topic: str, reading: Reading) -> None:
         self._watch.accepted(topic)
         if topic == TEMPERATURE:
             self.temperatures[reading.frame_id.lstrip('/')] = time.monotonic()
         if topic == JOINT_STATES:
             self.has_efforts = len(reading.fields[-1]) > 0
-        if topic == self._frame_topic and stream.faults['wrong_frame'] == misplaced:
+        if topic == self._frame_topic:
             self._listener.frame_changed(reading.frame_id)
-        for sample in samples:
-            self._listener.sample_completed(sample)
-        return True
 
     def _went_back(self, topic: str, reading: Reading) -> None:
         held = self._watch.refused(topic, reading)
         if not held:
             return
-        self._jump()
         assert self.stream is not None
+        self.stream.reset()
+        self._listener.clock_jumped()
         self.stream.faults['backward_stamp'] -= len(held)
         for again in held:
             self._feed(*again)

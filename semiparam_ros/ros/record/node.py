@@ -5,13 +5,15 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import partial
 
-from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from rclpy.subscription import Subscription
 
+from semiparam_ros.bags.qos import agreed
 from semiparam_ros.bags.writer import BagWriter
+from semiparam_ros.ros.answering import AnsweringNode
 from semiparam_ros.ros.context import REPLACEABLE
 from semiparam_ros.ros.message_types import message_class
 from semiparam_ros.ros.record import topics
@@ -22,7 +24,7 @@ NAME = 'bag_record'
 STEADY = ('/diagnostics', '/diagnostics_agg', '/clock', *topics.HOUSEKEEPING)
 
 
-class RecordNode(Node):
+class RecordNode(AnsweringNode):
     """Receives in the executor's thread, as fast as it comes, and writes where :meth:`write_arrived` is called.
 
     Writing takes longer than receiving, and a publisher's queue is short: so nothing is lost in a burst.
@@ -32,6 +34,8 @@ class RecordNode(Node):
         super().__init__(NAME)
         self._writer = writer
         self._limits = limits
+        if limits.count_topic is not None:
+            self._limits = replace(limits, count_topic=self.resolve_topic_name(limits.count_topic))
         self._sim_time = bool(self.get_parameter('use_sim_time').value)
         self._arrived: deque[tuple[str, bytes, int]] = deque()
         self._inputs: dict[str, Subscription] = {}
@@ -41,11 +45,19 @@ class RecordNode(Node):
         self.counts: dict[str, int] = {}
         self.last_message = 0.0
         self.complete = False
+        self.went_back = False
+        """Whether the time of reception ever went back, as a simulated one does where a recording starts again."""
+        self._newest = 0
 
     @property
     def topics(self) -> Mapping[str, str]:
         """Topic -> type of every subscription."""
         return self._types
+
+    @property
+    def counted(self) -> str | None:
+        """The topic whose messages end the recording."""
+        return self._limits.count_topic
 
     @property
     def messages(self) -> int:
@@ -69,14 +81,20 @@ class RecordNode(Node):
             message_class(type_name), topic, partial(self._receive, topic), profile, raw=True,
             event_callbacks=REPLACEABLE)
 
+    def now(self) -> int:
+        """The time of reception [ns], or the simulated one: 0 until that has come."""
+        # The events executor cannot hand on when a message was published.
+        return int(self.get_clock().now().nanoseconds) if self._sim_time else time.time_ns()
+
     def connected(self) -> bool:
         """Tell whether every subscription has found the publishers that the graph knows."""
         return all(subscription.get_publisher_count() >= self.count_publishers(topic)
                    for topic, subscription in self._inputs.items())
 
     def _receive(self, topic: str, raw: bytes) -> None:
-        # The time of reception, or the simulated time: the events executor cannot hand on when it was published.
-        stamp = self.get_clock().now().nanoseconds if self._sim_time else time.time_ns()
+        stamp = self.now()
+        self.went_back |= stamp < self._newest
+        self._newest = stamp
         self._arrived.append((topic, raw, stamp))
         if topic not in STEADY and topic not in self._latched:
             self.last_message = time.monotonic()
@@ -102,16 +120,18 @@ class RecordNode(Node):
         return published
 
     def write_arrived(self) -> None:
-        """Write what has arrived so far; raises SemiparamError when the disk refuses it."""
+        """Write what has arrived so far, before the simulated time as of its beginning; raises SemiparamError when the
+        disk refuses it."""
         for _ in range(len(self._arrived)):
             if self.complete:
                 return
-            self._write(*self._arrived.popleft())
+            topic, raw, stamp = self._arrived.popleft()
+            self._write(topic, raw, stamp or next((later for *_, later in self._arrived if later), self.now()))
 
     def _write(self, topic: str, raw: bytes, stamp: int) -> None:
         if not self.counts[topic]:
             offers = topics.offers(self, topic)
-            self._writer.add_topic(topic, self._types[topic], offers[0] if offers else None)
+            self._writer.add_topic(topic, self._types[topic], agreed(offers) if offers else None)
         self._writer.write_raw(topic, raw, stamp)
         self.counts[topic] += 1
         self.complete = self._is_full(topic)

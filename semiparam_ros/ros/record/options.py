@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from semiparam_ros.bags.writer import partial_path
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.playback.timeline import Selection
 
@@ -55,6 +56,10 @@ class RecordOptions:
     def __post_init__(self) -> None:
         if self.path.exists() and not self.overwrite:
             raise SemiparamError(f'{str(self.path)!r} exists already: choose another name or say --overwrite.')
+        partial = partial_path(self.path)
+        if partial.exists() and not self.overwrite:
+            raise SemiparamError(f'{str(partial)!r} holds a recording that broke off, or is being made: choose another '
+                                 'name or say --overwrite.')
         if not (self.nodes or self.topics or self.everything):
             raise SemiparamError('nothing to record: expected a node, a topic or everything.')
 

@@ -14,7 +14,7 @@ from rich.status import Status
 from semiparam_ros.bags.writer import BagWriter
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.ros.context import DELIVER_S, RosProcess, call_in_executor
-from semiparam_ros.ros.discovery import Stopped, handshake, wait_until
+from semiparam_ros.ros.discovery import Stopped, handshake, require_topic_names, wait_until
 from semiparam_ros.ros.record import topics
 from semiparam_ros.ros.record.node import RecordNode
 from semiparam_ros.ros.record.options import RecordOptions
@@ -102,6 +102,8 @@ class RecordSession:
         A file of the name appears only when the recording is whole. What fails later leaves the part so far as
         ``NAME.partial``, which every command of this package reads.
         """
+        counted = self._options.limits.count_topic
+        require_topic_names([*self._options.topics, *([] if counted is None else [counted])])
         writer = BagWriter(self._options.path, self._options.compression)
         try:
             return self._record(writer)
@@ -122,6 +124,9 @@ class RecordSession:
             node.write_arrived()
             _check(ros, node, writer)
             writer.close()
+            if node.went_back:
+                self._say('the clock went back meanwhile: messages of before and after it share log times, and are '
+                          'played mixed.')
             return RecordAccount(str(self._options.path), time.monotonic() - self._began, dict(node.counts),
                                  tuple(self._skipped.values()))
 
@@ -131,7 +136,7 @@ class RecordSession:
 
         def ready() -> bool:
             nonlocal missing
-            missing = self._look(node)
+            missing = self._look(node) + ['/clock'] * (not node.now())
             return not missing and node.connected()
 
         if not wait_until(ready, self._options.wait_s, self._stopping):
@@ -140,6 +145,8 @@ class RecordSession:
         for name in topics.sources(node, node.topics):
             handshake(node, name, self._stopping)
         self._say(f'recording {len(node.topics)} topics: {", ".join(sorted(node.topics))}.')
+        if node.counted not in (None, *node.topics):
+            self._say(f'{node.counted}, of which messages are counted, is not among them yet.')
         self._began = time.monotonic()
 
     def _look(self, node: RecordNode) -> list[str]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
+from math import isfinite
 
 from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
@@ -138,4 +139,6 @@ class ReplayControls:
                 self._player.seek(self._bag_time(value))
 
     def _bag_time(self, seconds: float) -> int:
+        if not isfinite(seconds):
+            raise SemiparamError(f'cannot seek to {seconds:g} s: expected seconds after the start of the playback.')
         return self._start_ns + round(seconds * NANOSECONDS)

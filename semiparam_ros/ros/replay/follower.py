@@ -39,6 +39,9 @@ class Follower:
         self._node = node
         self._woken = woken
         self.answer_topic = node.resolve_topic_name(answer_topic)
+        if self.answer_topic in [output.topic_name for output in node.outputs.values()]:
+            raise SemiparamError(f'{self.answer_topic} is played itself, so its answers cannot be told from what the '
+                                 'bag holds: leave it out with --exclude-topics.')
         info = self._publisher(wait_s, stopping)
         self.name = owner(info)
         request = request_topic or _request_topic(node, info.topic_type, self.answer_topic)

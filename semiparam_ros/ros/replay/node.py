@@ -7,7 +7,6 @@ import time
 from collections.abc import Callable, Collection, Iterable, Mapping
 
 from rclpy.duration import Duration
-from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock as ClockMessage
 
@@ -16,6 +15,7 @@ from semiparam_ros.bags.qos import Qos
 from semiparam_ros.core.stamps import NANOSECONDS
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.playback.player import Item
+from semiparam_ros.ros.answering import AnsweringNode
 from semiparam_ros.ros.cdr import begins_with_header
 from semiparam_ros.ros.context import steady_timer
 from semiparam_ros.ros.message_types import message_class
@@ -24,7 +24,7 @@ from semiparam_ros.ros.recorded_qos import to_rclpy
 NAME = 'bag_replay'
 
 
-class ReplayNode(Node):
+class ReplayNode(AnsweringNode):
     """Publishes what the player hands to :meth:`publish`, and lets services and parameters steer the player."""
 
     def __init__(self, topics: Mapping[str, tuple[str, Qos]], stopping: threading.Event, *,

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from semiparam_ros.bags.base import BagReader
+from semiparam_ros.bags.base import BagReader, TopicInfo
 from semiparam_ros.bags.reader import MergedBag, open_bag
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.playback.flow_control import Followers, FollowerSilent
@@ -24,7 +24,7 @@ from semiparam_ros.playback.read_ahead import ReadAhead
 from semiparam_ros.playback.report import ReplayAccount
 from semiparam_ros.playback.timeline import BagTimeline, PlayedTopic
 from semiparam_ros.ros.context import DELIVER_S, RosProcess, call_in_executor
-from semiparam_ros.ros.discovery import Stopped, handshake, wait_until
+from semiparam_ros.ros.discovery import Stopped, handshake, name_fault, require_topic_names, wait_until
 from semiparam_ros.ros.message_types import is_installed
 from semiparam_ros.ros.recorded_qos import load_overrides, lossless, overridden
 from semiparam_ros.ros.replay.controls import ReplayControls
@@ -89,27 +89,35 @@ class ReplaySession:
     def _topics(self, bag: BagReader) -> tuple[dict[str, PlayedTopic], dict[str, str]]:
         """Topics that are played, and the reasons why other chosen ones are not."""
         options = self._options
+        _check_remap(options.remap, bag.topics)
+        require_topic_names(options.follow.answers if options.follow else ())
         overrides = load_overrides(options.qos_overrides) if options.qos_overrides else {}
         played, skipped = {}, {}
         for topic in options.selection.of(list(bag.topics)):
             info = bag.topics[topic]
-            if reason := self._obstacle(topic, info.type):
+            if reason := self._obstacle(options.remap.get(topic, topic), info):
                 skipped[topic] = f'{topic} is not played: {reason}.'
                 continue
             qos = lossless(info.qos) if options.follow else info.qos
             if topic in overrides:
                 qos = overridden(qos, overrides[topic], f'{options.qos_overrides}, {topic}')
             played[topic] = PlayedTopic(options.remap.get(topic, topic), info.type, qos)
+            _require_one_type(played, topic)
         self._say(skipped.values())
-        _check_remap(options.remap, bag.topics)
         if not played:
             raise SemiparamError('there is nothing to play: no topic of the bag is chosen and installed.')
         return played, skipped
 
-    def _obstacle(self, topic: str, type_name: str) -> str:
-        """Reason why a topic is not played, '' when it is."""
-        if not is_installed(type_name):
-            return f'its type {type_name or "(unknown)"} is not installed'
+    def _obstacle(self, topic: str, info: TopicInfo) -> str:
+        """Reason why a topic is not played under this name, '' when it is."""
+        if not is_installed(info.type):
+            return f'its type {info.type or "(unknown)"} is not installed'
+        if fault := name_fault(topic):
+            return fault
+        if info.encoding != 'cdr':
+            return f'its messages are encoded as {info.encoding!r}; expected cdr, as ROS 2 records them'
+        if topic == '/clock' and (self._options.clock_hz is not None or self._options.clock_before_each):
+            return 'the time of the bag is published there'
         answers = self._options.follow.answers if self._options.follow else {}
         outputs = [answer.rpartition('/')[0] + '/' for answer in answers]
         if topic in answers or any(len(prefix) > 1 and topic.startswith(prefix) for prefix in outputs):
@@ -206,10 +214,19 @@ class ReplaySession:
             self._console.print(sentence, soft_wrap=True)
 
 
+def _require_one_type(played: Mapping[str, PlayedTopic], topic: str) -> None:
+    mine = played[topic]
+    others = [other for other, each in played.items() if each.name == mine.name and each.type != mine.type]
+    if others:
+        raise SemiparamError(f'{topic} holds {mine.type} and {others[0]} {played[others[0]].type}: both cannot be '
+                             f'played on {mine.name}.')
+
+
 def _check_remap(remap: Mapping[str, str], found: Mapping[str, object]) -> None:
     unknown = [topic for topic in remap if topic not in found]
     if unknown:
         raise SemiparamError(f'cannot remap {", ".join(unknown)}: the bag has {", ".join(found)}.')
+    require_topic_names(remap.values())
 
 
 def _open(paths: Sequence[Path]) -> BagReader:

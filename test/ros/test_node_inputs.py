@@ -1,0 +1,111 @@
+"""What the node makes of its input messages, without a graph."""
+
+from dataclasses import replace
+from math import nan
+from types import SimpleNamespace
+
+import pytest
+from rclpy.qos import QoSHistoryPolicy, QoSReliabilityPolicy
+
+from semiparam_ros.bags.readings import Reading
+from semiparam_ros.ros.estimator.diagnostics import OK, InputReport, Rejections
+from semiparam_ros.ros.estimator.subscriptions import ACCELERATIONS, JOINT_STATES, InputStream
+from support.node_helpers import JOINTS, SETTINGS
+
+EFFORTS = replace(SETTINGS, outputs='effort', sensor_frame='', acceleration_source='filter')
+PERIOD_NS = 5_000_000
+
+
+class Inputs:
+    """An input stream of efforts, and what it told."""
+
+    def __init__(self, settings=EFFORTS, publishers=1):
+        self.samples, self.frames, self.warned, self.jumps = [], [], [], 0
+        subscription = SimpleNamespace(get_publisher_count=lambda: publishers)
+        node = SimpleNamespace(create_subscription=lambda *_, **__: subscription)
+        self.stream = InputStream(node, settings, self, lambda work: work())
+        self.stream.open(JOINTS)
+        self.rejections = Rejections()
+        self.report = InputReport(self.stream, self.rejections, self.warned.append)
+
+    def sample_completed(self, sample):
+        self.samples.append(sample)
+
+    def frame_changed(self, frame_id):
+        self.frames.append(frame_id)
+
+    def clock_jumped(self):
+        self.jumps += 1
+
+    def take(self, stamp, frame_id='arm', names=JOINTS, value=0.1):
+        row = [value] * len(names)
+        self.stream.turns.add(JOINT_STATES, Reading(stamp, frame_id, (list(names), row, row, row)))
+
+
+@pytest.mark.parametrize('other', [{'value': nan}, {'names': ('a', 'gripper')}])
+def test_a_clock_that_went_back_is_followed_though_some_messages_are_refused(other):
+    """One of four that was refused for another reason said that the clock was as before: no sample came any more."""
+    inputs = Inputs()
+    for start in (10**12, 10**11):
+        for number in range(40):
+            inputs.take(start + number * PERIOD_NS, **(other if number % 4 == 3 else {}))
+    assert inputs.jumps == 1 and len(inputs.samples) == 60
+    assert inputs.stream.stream.faults['backward_stamp'] == 0
+
+
+def test_answers_have_the_frame_of_messages_that_were_not_refused():
+    inputs = Inputs()
+    inputs.take(10**9)
+    inputs.take(2 * 10**9, 'another arm', ('a', 'gripper'))
+    assert inputs.frames == ['arm']
+
+
+def test_the_log_says_nothing_of_refusals_that_turned_out_to_be_none():
+    """It warned once a second, for ever, of stamps that had gone back with the clock."""
+    inputs = Inputs()
+    for start in (10**12, 10**11):
+        for number in range(10):
+            inputs.take(start + number * PERIOD_NS)
+        inputs.report.make()
+    assert inputs.jumps == 1 and not inputs.warned
+    for value in (1, nan, nan):
+        inputs.take(2 * 10**12, value=value)
+        inputs.report.make()
+    assert len(inputs.warned) == 1 and 'not finite' in inputs.warned[0]
+
+
+def test_a_topic_that_is_asked_anew_as_best_effort_keeps_what_parameters_have_overridden():
+    """qos_overrides of its depth were lost."""
+    profiles = []
+
+    def create_subscription(kind, topic, receive, profile, **options):
+        profiles.append(profile)
+        if options.get('qos_overriding_options'):  # as rclpy does
+            profile.history, profile.depth = QoSHistoryPolicy.KEEP_LAST, 5
+        return SimpleNamespace(qos_profile=profile, get_publisher_count=lambda: 0)
+    offer = SimpleNamespace(qos_profile=SimpleNamespace(reliability=QoSReliabilityPolicy.BEST_EFFORT))
+    node = SimpleNamespace(create_subscription=create_subscription, destroy_subscription=lambda each: None,
+                           resolve_topic_name=str, get_publishers_info_by_topic=lambda name: [offer])
+    stream = InputStream(node, EFFORTS, None, None)
+    assert stream.follow_reliability() == [JOINT_STATES]
+    asked = profiles[-1]
+    assert (asked.depth, asked.history, asked.reliability) == (
+        5, QoSHistoryPolicy.KEEP_LAST, QoSReliabilityPolicy.BEST_EFFORT)
+
+
+def test_accelerations_that_come_too_late_are_told():
+    """Their rate was shown, and not that nobody used them."""
+    inputs = Inputs(replace(EFFORTS, acceleration_source='auto'), publishers=0)
+    inputs.take(10**9)
+    assert inputs.report.make().message == 'receiving.'
+    inputs.stream.turns.add(ACCELERATIONS, Reading(10**9, '', (list(JOINTS), [0.0] * len(JOINTS))))
+    assert inputs.report.make().message == (
+        'receiving; joint_accelerations came after the first joint state, and are not used.')
+
+
+def test_a_checkpoint_that_cannot_be_written_is_no_message_that_was_refused():
+    inputs = Inputs()
+    inputs.take(10**9)
+    inputs.rejections.add('checkpoints', 'a.checkpoint.npz was not written: No space left on device.')
+    level, message, values = inputs.report.make()
+    assert (level, message, values['refused: checkpoints'], values['last refusal']) == (OK, 'receiving.', 1, '')
