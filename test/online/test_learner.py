@@ -21,14 +21,14 @@ from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.diagnosis.setup.identifiability import unidentifiable
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.experiments.evaluation import OfflineLearner
-from semiparam_ros.online import diagnosis_jobs, model_jobs, state_file
+from semiparam_ros.online import diagnosis_jobs, model_jobs, state_file, transport
 from semiparam_ros.online.history import History, batch_of
 from semiparam_ros.online.identified_parameters import Excitation, carried_load, conditioning, reported_load
 from semiparam_ros.online.learning import Learning
 from semiparam_ros.online.model_jobs import new_estimator
 from semiparam_ros.online.model_switcher import same_model
 from semiparam_ros.online.tare import Tare
-from semiparam_ros.online.worker import ProcessBackground, Urgency
+from semiparam_ros.online.worker import ProcessBackground, Urgency, _spawned_worker
 from semiparam_ros.ros.estimator.subscriptions import ClockWatch
 from semiparam_ros.settings.build import build_estimator, build_rigid_body, model_options
 from support.learner_stage import Stage
@@ -770,6 +770,14 @@ def test_what_is_urgent_interrupts_what_is_not_which_begins_anew(tmp_path):
         tasks.get(timeout=60)()
     background.close()
     assert results == [4, 6, 8, 'done', 2]
+
+
+def test_a_process_that_is_still_loading_does_not_die_of_a_job_that_is_to_give_way():
+    process, line = _spawned_worker()
+    os.kill(process.pid, signal.SIGUSR1)
+    transport.send(line, (max, (1, 3)))
+    assert transport.receive(line).result == 3
+    process.kill()
 
 
 def wait_for(path, seconds):
