@@ -270,11 +270,11 @@ class Learner:
         return prediction._replace(mean=prediction.mean + self.tare.bias) if self.tare.active else prediction
 
     def _emit(self, answer: Answer) -> None:
-        sample = answer.prediction.sample
+        prediction, sample = answer.prediction, answer.prediction.sample
         self.answered += 1
         self._seen += 1
         self.learnt += answer.learnt
-        self.tare.add(sample.stamp, sample.outputs - answer.prediction.model_mean, answer.prediction.ready)
+        self.tare.add(sample.stamp, sample.outputs - prediction.model_mean, prediction.ready and not prediction.off)
         self._listener.answered(answer)
         self.history.append(sample, answer.learning)
 
@@ -387,6 +387,7 @@ class Learner:
         self.settings = settings
         if settings.tools != self.tools.texts:
             self.tools = Tools(self.body, settings.tools)
+            self.tare.begin_anew()
         sentence = self._change_model(settings)
         self.switcher.set_shadows(settings, self.history, retry=True)
         return sentence

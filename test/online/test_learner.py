@@ -494,6 +494,22 @@ def test_a_bias_that_no_sensor_has_is_not_taken():
     assert not tare.active
 
 
+def test_a_tare_goes_by_the_last_second_alone_while_motors_are_on():
+    tare = Tare(6)
+    tare.add(0, np.ones(6), True)
+    tare.add(2 * 10**9, np.ones(6), False)
+    with pytest.raises(SemiparamError, match='no prediction of the last second'):
+        tare.take()
+    stage = Stage(SETTINGS, InlineBackground())
+    samples = motion(300)
+    stage.offer(samples[:200])
+    still = samples[200]._replace(outputs=np.full(6, 1e-3))
+    stage.offer([still._replace(stamp=still.stamp + index * PERIOD_NS) for index in range(100)])
+    assert stage.answers[-1].prediction.off
+    with pytest.raises(SemiparamError, match='no prediction of the last second'):
+        stage.learner.tare.take()
+
+
 def test_files_that_do_not_fit_are_refused(tmp_path):
     stage, path = Stage(SETTINGS, InlineBackground()), tmp_path / 's.npz'
     stage.offer(motion(100))
