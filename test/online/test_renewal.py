@@ -188,6 +188,6 @@ def test_an_output_that_stays_the_same_decides_nothing(constant):
     for _ in range(500):
         outputs = np.array([constant, rng.standard_normal()])
         prediction = Prediction(*[None] * len(Prediction._fields))._replace(
-            mean=outputs + (1e-3, 0.1), sample=Sample(0, *[np.zeros(0)] * 3, outputs))
+            mean=outputs + np.array([1e-3, 0.1]), sample=Sample(0, *[np.zeros(0)] * 3, outputs))
         errors.add(prediction)
     assert errors.size == pytest.approx(0.1, rel=0.1)
