@@ -8,8 +8,8 @@ time tau tells as much as one sample in tau of independent ones.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import NamedTuple, Protocol
 
@@ -85,8 +85,8 @@ class SampleTable:
     used: Mask
     deviation: Array
     weight: Array
-    starts: tuple[tuple[float, str], ...] = ()
-    """Times [s] when loads appear that were not there from the beginning, and their links."""
+    starts: Mapping[int, float] = field(default_factory=dict)
+    """Times [s] when loads appear that were not there from the beginning, by their first columns."""
     keep_inertias: bool = False
     """Mark of a rigid body that is known to be as described."""
 
@@ -262,21 +262,21 @@ def _with_starts(table: SampleTable, time: Array) -> SampleTable:
     for index, effect in enumerate(table.model.effects):
         if not (effect.is_load and isinstance(effect, Effect)):
             continue
+        part = table.model.blocks[str(index)]
         if effect.start_s is not None:
-            known = effect.start_s, str(effect.where)
-            table = replace(table, starts=(*table.starts, known))
+            table = replace(table, starts={**table.starts, part.start: effect.start_s})
         if effect.span.values:
             continue
-        best = _best_start(table, table.model.blocks[str(index)], block)
+        best = _best_start(table, part, block)
         if best == 0:
             continue
         columns = table.columns.copy()
-        columns[block < best, :, table.model.blocks[str(index)]] = 0.0
+        columns[block < best, :, part] = 0.0
         table = replace(table, columns=columns)
         if best < BLOCKS:
-            known = float(time[block == best][0]), str(effect.where)
+            starts = {**table.starts, part.start: float(time[block == best][0])}
             around = np.abs(block - best + 0.5) < 1.0
-            table = replace(table, starts=(*table.starts, known), used=table.used & ~around)
+            table = replace(table, starts=starts, used=table.used & ~around)
     return table.weighed()
 
 
