@@ -681,6 +681,20 @@ def test_a_rigid_body_that_stays_as_the_window_left_it_tells_of_no_load(variant)
     assert estimator.ready and carried_load(estimator) is None
 
 
+def test_two_loads_on_a_link_are_known_as_well_as_their_sum():
+    """The first was there for a moment alone, so each by itself is hardly known."""
+    texts = 'payload@ft{"start_s": 3.0}', 'payload@ft{"start_s": 3.1}'
+    estimator = build_estimator(replace(SETTINGS, variant='P', effects=texts))
+    for sample in motion(400):
+        estimator.step(sample)
+    places = [estimator.columns.blocks[name].start for name in ('0', '1')]
+    both = estimator.model.recursion.theta_covariance()[np.ix_(places, places)]
+    found = carried_load(estimator)
+    assert found.covariance[0, 0] == pytest.approx(both.sum(), rel=1e-9)
+    assert both.sum() < 0.5 * np.trace(both), 'which it said'
+    assert found.parameters[0] == pytest.approx(estimator.model.theta[places].sum(), abs=1e-12)
+
+
 def test_a_payload_is_a_body_or_not_told_and_nothing_is_told_before_there_is_a_model():
     estimator = build_estimator(replace(SETTINGS, variant='P', effects=('payload@ft{"start_s": 0.0}',)))
     for sample in motion(30):
