@@ -3,6 +3,7 @@ and whether the robot has moved enough to identify them."""
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from typing import NamedTuple
 
 import numpy as np
@@ -39,11 +40,12 @@ class Excitation:
         """Take one sample into account."""
         widen(self._range, sample.position)
 
-    def sentences(self) -> list[str]:
+    def sentences(self, prismatic: Collection[str] = ()) -> list[str]:
         """One for each joint that has not moved enough; none before the first sample."""
         moved = self._range[1] - self._range[0]
-        return [f'joint {name} has moved {span:.3f} rad only, not enough to identify what depends on it'
-                for name, span in zip(self._joints, moved, strict=True) if 0.0 <= span < MOVED_ENOUGH]
+        units = ['m' if name in prismatic else 'rad' for name in self._joints]
+        return [f'joint {name} has moved {span:.3f} {unit} only, not enough to identify what depends on it'
+                for name, span, unit in zip(self._joints, moved, units, strict=True) if 0.0 <= span < MOVED_ENOUGH]
 
 
 class Conditioning(NamedTuple):

@@ -649,6 +649,7 @@ def test_joints_that_stand_still_are_named_and_the_conditioning_tells_so():
         excitation.add(sample)
     assert excitation.sentences() == [
         'joint b has moved 0.000 rad only, not enough to identify what depends on it']
+    assert ' 0.000 m only' in excitation.sentences(prismatic={'b'})[0]
     found = []
     for samples in (moving, still):
         estimator = Estimator(BODY, model_options(replace(SETTINGS, variant='P')))
