@@ -21,7 +21,7 @@ from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.motion import moving
 from semiparam_ros.core.robot.frames import load_in_base
 from semiparam_ros.core.robot.rigid_body import RigidBody
-from semiparam_ros.core.samples import Samples
+from semiparam_ros.core.samples import Samples, variance
 from semiparam_ros.core.signals.smoothing import smoothed
 from semiparam_ros.core.types import Array, Indices, Mask
 from semiparam_ros.effects import Effect
@@ -131,9 +131,9 @@ class SampleTable:
 
     def error(self, theta: Array, rows: Mask) -> Array:
         """Mean squared error (n,) over the variance of all outputs in use; NaN where that is 0."""
-        variance = self.outputs[self.used].var(axis=0)
+        spread = variance(self.outputs[self.used])
         square = np.mean(self.residual(theta)[rows] ** 2, axis=0)
-        return np.divide(square, variance, out=np.full(len(square), np.nan), where=variance > 0.0)
+        return np.divide(square, spread, out=np.full(len(square), np.nan), where=spread > 0.0)
 
     def weighed(self) -> SampleTable:
         """The same with the deviations of what the fit leaves, correlation in time included."""
