@@ -17,6 +17,7 @@ import pinocchio as pin
 
 from semiparam_ros.core.columns import CoupledColumns
 from semiparam_ros.core.robot.consistency import (
+    FLAT,
     Body,
     ball,
     consistent_bodies,
@@ -183,8 +184,9 @@ class _Solution:
                                  'feel; expected inertials, which an export starts from.')
         size, count = size_of(body), columns.n_columns
         self.described = {name: values for name, values in described.items()
-                          if values[0] > 0.0 and (name in observed or not is_consistent(values))}
-        self.mended = [name for name, values in self.described.items() if not is_consistent(values)]
+                          if values[0] > 0.0 and (name in observed or not is_consistent(values, FLAT))}
+        self.mended = [name for name, values in self.described.items()
+                       if not is_consistent(values, FLAT)]
         self._others = {name: made_consistent(values, size.length)
                         for name, values in self.described.items() if name not in observed}
         self._links, self._identifiable = observed, body.n_parameters
