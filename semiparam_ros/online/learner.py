@@ -158,9 +158,10 @@ class Learner:
         """Answer a sample, then learn it."""
         if self.tare.active:
             sample = sample._replace(outputs=sample.outputs - self.tare.bias)
+        measured = sample.outputs
         sample, of_tools = self.tools.taken_off(sample)
         sample, of_changes = self.changes.applied.taken_off(sample)
-        prediction = self._predict(sample)
+        prediction = self._predict(sample, measured)
         if prediction is None:
             self.lost += 1
             return
@@ -224,10 +225,10 @@ class Learner:
         self.switcher.clear_pending()
         self.estimator.clear_pending()
 
-    def _predict(self, sample: Sample) -> Prediction | None:
-        """The prediction of a sample; None where the active model fails, but is not yet known to be broken."""
+    def _predict(self, sample: Sample, measured: Array) -> Prediction | None:
+        """See :meth:`Estimator.predict`; None where the active model fails, but is not yet known to be broken."""
         try:
-            prediction = self.estimator.predict(sample)
+            prediction = self.estimator.predict(sample, measured)
             if not (are_finite(prediction.mean) and are_finite(prediction.std)):
                 raise FloatingPointError('it predicts values that are not finite')
         except Exception as error:
@@ -237,7 +238,7 @@ class Learner:
             if not broken:
                 return None
             self._fall_back(error)
-            return self.estimator.predict(sample)
+            return self.estimator.predict(sample, measured)
         self._failures = 0
         return prediction
 
