@@ -89,7 +89,8 @@ class Ensemble:
         mean, std, model_mean, covariance = pooled
         motion, off = observed.motion, False
         if self.first.ready and motion.still > 1:
-            off = bool(np.abs(observed.sample.outputs).max() < OFF_SHARE * np.abs(model_mean).max())
+            expected = model_mean + (observed.measured - observed.sample.outputs)
+            off = bool(np.abs(observed.measured).max() < OFF_SHARE * np.abs(expected).max())
             motion = motion._replace(is_news=motion.is_news and not off)
         return Prediction(mean, std, model_mean, model_std, self.first.ready, observed.sample, covariance,
                           observed.columns, observed.memory, motion, observed.beyond, members, off)

@@ -143,15 +143,19 @@ class Estimator:
         prediction = self.predict(sample)
         return Prediction(*prediction[:-1], self.observe(prediction, learn and prediction.motion.is_news))
 
-    def predict(self, sample: Sample) -> Prediction:
+    def predict(self, sample: Sample, measured: Array | None = None) -> Prediction:
         """Predict the outputs at the sample's inputs; nothing changes. Unknown outputs may be NaN.
+
+        :param measured: (n,) the outputs before tools and other known bodies were taken off, which tell whether motors
+            are off; those of the sample unless given.
 
         Raises SemiparamError when an input is not finite, or has another shape than the robot.
         """
-        return self.ensemble.predict(self._observed(sample))
+        return self.ensemble.predict(self._observed(sample, measured))
 
-    def _observed(self, sample: Sample) -> Observed:
+    def _observed(self, sample: Sample, measured: Array | None = None) -> Observed:
         sample = sample.in_rows(self.body.n_joints, self.body.n_outputs)
+        measured = sample.outputs if measured is None else measured
         x, outside = beyond(self.inputs_learnt, sample)
         if isnan(outside):
             require_finite('positions, velocities and accelerations', x)
@@ -160,9 +164,9 @@ class Estimator:
         if self.columns.effects:
             require_finite('columns of the effects', columns)
         position = x[:self.body.n_joints]
-        motion = self.motion.after(sample.stamp, position, sample.outputs) if self.motion else \
-            at_start(sample.stamp, position, sample.outputs)
-        return Observed(sample, x, columns, memory, motion, outside)
+        motion = self.motion.after(sample.stamp, position, measured) if self.motion else \
+            at_start(sample.stamp, position, measured)
+        return Observed(sample, x, columns, memory, motion, outside, measured)
 
     def holds(self, effect: ColumnBlock) -> bool:
         """Tell whether an effect acts at the newest sample, by its start and its end."""

@@ -26,6 +26,7 @@ class Observed(NamedTuple):
     memory: Memories
     motion: Motion
     beyond: float
+    measured: Array  # (n,) the outputs, with what tools and other known bodies add
 
 
 class MemberPrediction(NamedTuple):

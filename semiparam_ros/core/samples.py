@@ -58,6 +58,11 @@ class Sample(NamedTuple):
         return self._replace(**found) if found else self
 
 
+def variance(values: Array) -> Array:
+    """(n,) of values (N, n); exactly 0 of those that stay the same, where rounding leaves more."""
+    return np.asarray(values.var(axis=0) * (np.ptp(values, axis=0) > 0.0))
+
+
 @dataclass(frozen=True, eq=False)
 class Samples:
     """N samples in order of time; ``origin`` [ns] is where ``time`` starts, and slices keep it.

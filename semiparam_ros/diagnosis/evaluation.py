@@ -11,7 +11,7 @@ import numpy as np
 from semiparam_ros.core.columns import CoupledColumns
 from semiparam_ros.core.horizon_error import force_and_torque
 from semiparam_ros.core.robot.rigid_body import RigidBody
-from semiparam_ros.core.samples import Samples
+from semiparam_ros.core.samples import Samples, variance
 from semiparam_ros.core.types import Array, Mask
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
 from semiparam_ros.diagnosis.data.outliers import counted_outputs
@@ -81,7 +81,7 @@ class Evaluation:
     def variance(self) -> Array:
         """(n,) variance of the outputs that count, in their units squared; infinite where nothing changes, so that no
         error is a share of it."""
-        found = np.array([values[use].var() if use.any() else 0.0
+        found = np.array([variance(values[use]) if use.any() else 0.0
                           for values, use in zip(self.outputs.T, self.counted.T, strict=True)])
         return np.where(found > 0.0, found, np.inf)
 

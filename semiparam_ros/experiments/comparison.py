@@ -15,7 +15,7 @@ from semiparam_ros.core.estimator import Estimator, EstimatorState
 from semiparam_ros.core.hyperparameters.estimation import Hyperparameters
 from semiparam_ros.core.initial_window import gathered_from
 from semiparam_ros.core.model import AUTO
-from semiparam_ros.core.samples import Samples
+from semiparam_ros.core.samples import Samples, variance
 from semiparam_ros.core.types import Array, Mask
 from semiparam_ros.core.variants import AVERAGED, VARIANTS
 from semiparam_ros.errors import SemiparamError
@@ -325,9 +325,8 @@ def _pool(traces: Sequence[Trace]) -> Trace:
 
 def _normalised(trace: Trace) -> Array:
     """Mean squared error over variance (n,), NaN for a constant channel."""
-    variance = trace.outputs.var(axis=0)
-    square = np.mean(trace.errors**2, axis=0)
-    return np.divide(square, variance, out=np.full_like(square, np.nan), where=variance > 0.0)
+    square, spread = np.mean(trace.errors**2, axis=0), variance(trace.outputs)
+    return np.divide(square, spread, out=np.full_like(square, np.nan), where=spread > 0.0)
 
 
 def _coverage(trace: Trace, level: float) -> float:

@@ -13,7 +13,7 @@ from semiparam_ros.bags.loading import LoadedBag
 from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.horizon_error import HorizonErrors, force_and_torque
 from semiparam_ros.core.prediction import Prediction
-from semiparam_ros.core.samples import Sample
+from semiparam_ros.core.samples import Sample, variance
 from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online.change_watch import ChangeRecord
@@ -105,8 +105,7 @@ def normalised_errors(errors: Array, measured: Array) -> tuple[list[float | None
     """Mean squared error over the channel's variance (None for a constant channel), and its root,
     for (N, n)."""
     square = np.mean(errors**2, axis=0)
-    variance = np.var(measured, axis=0)
-    ratios = [float(a / b) if b > 0.0 else None for a, b in zip(square, variance, strict=True)]
+    ratios = [float(a / b) if b > 0.0 else None for a, b in zip(square, variance(measured), strict=True)]
     return ratios, np.sqrt(square).tolist()
 
 

@@ -8,8 +8,8 @@ time tau tells as much as one sample in tau of independent ones.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import NamedTuple, Protocol
 
@@ -21,7 +21,7 @@ from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.motion import moving
 from semiparam_ros.core.robot.frames import load_in_base
 from semiparam_ros.core.robot.rigid_body import RigidBody
-from semiparam_ros.core.samples import Samples
+from semiparam_ros.core.samples import Samples, variance
 from semiparam_ros.core.signals.smoothing import smoothed
 from semiparam_ros.core.types import Array, Indices, Mask
 from semiparam_ros.effects import Effect
@@ -85,8 +85,8 @@ class SampleTable:
     used: Mask
     deviation: Array
     weight: Array
-    starts: tuple[tuple[float, str], ...] = ()
-    """Times [s] when loads appear that were not there from the beginning, and their links."""
+    starts: Mapping[int, float] = field(default_factory=dict)
+    """Times [s] when loads appear that were not there from the beginning, by their first columns."""
     keep_inertias: bool = False
     """Mark of a rigid body that is known to be as described."""
 
@@ -131,9 +131,9 @@ class SampleTable:
 
     def error(self, theta: Array, rows: Mask) -> Array:
         """Mean squared error (n,) over the variance of all outputs in use; NaN where that is 0."""
-        variance = self.outputs[self.used].var(axis=0)
+        spread = variance(self.outputs[self.used])
         square = np.mean(self.residual(theta)[rows] ** 2, axis=0)
-        return np.divide(square, variance, out=np.full(len(square), np.nan), where=variance > 0.0)
+        return np.divide(square, spread, out=np.full(len(square), np.nan), where=spread > 0.0)
 
     def weighed(self) -> SampleTable:
         """The same with the deviations of what the fit leaves, correlation in time included."""
@@ -262,21 +262,21 @@ def _with_starts(table: SampleTable, time: Array) -> SampleTable:
     for index, effect in enumerate(table.model.effects):
         if not (effect.is_load and isinstance(effect, Effect)):
             continue
+        part = table.model.blocks[str(index)]
         if effect.start_s is not None:
-            known = effect.start_s, str(effect.where)
-            table = replace(table, starts=(*table.starts, known))
+            table = replace(table, starts={**table.starts, part.start: effect.start_s})
         if effect.span.values:
             continue
-        best = _best_start(table, table.model.blocks[str(index)], block)
+        best = _best_start(table, part, block)
         if best == 0:
             continue
         columns = table.columns.copy()
-        columns[block < best, :, table.model.blocks[str(index)]] = 0.0
+        columns[block < best, :, part] = 0.0
         table = replace(table, columns=columns)
         if best < BLOCKS:
-            known = float(time[block == best][0]), str(effect.where)
+            starts = {**table.starts, part.start: float(time[block == best][0])}
             around = np.abs(block - best + 0.5) < 1.0
-            table = replace(table, starts=(*table.starts, known), used=table.used & ~around)
+            table = replace(table, starts=starts, used=table.used & ~around)
     return table.weighed()
 
 

@@ -17,6 +17,7 @@ import pinocchio as pin
 
 from semiparam_ros.core.columns import CoupledColumns
 from semiparam_ros.core.robot.consistency import (
+    FLAT,
     Body,
     ball,
     consistent_bodies,
@@ -139,12 +140,12 @@ def identify(estimate: Estimate, described: Mapping[str, Array],
     solution.hold(estimate, everything=keep_inertias)
     links, loads, theta = solution.found(estimate.mean, estimate.information)
     price = None if estimate.table is None else _price(estimate, solution, theta)
-    starts = {} if estimate.table is None else {link: time for time, link in estimate.table.starts}
+    starts = {} if estimate.table is None else estimate.table.starts
     joints = [JointDynamics(joint, name, max(float(weights @ theta), 0.0),
                             float(np.sqrt(max(float(weights @ covariance @ weights), 0.0))),
                             columns.body.joint_unit(joint, UNITS[name]))
               for joint, name, weights in solution.dynamics]
-    found = [CarriedBody(link, parameters, _std(covariance, block.start), starts.get(link))
+    found = [CarriedBody(link, parameters, _std(covariance, block.start), starts.get(block.start))
              for (link, block), parameters in zip(solution.loads, loads, strict=True)]
     offsets = dict(zip(columns.body.output_names, theta[columns.blocks['offset']].tolist(),
                        strict=False))  # none without joint friction
@@ -183,8 +184,9 @@ class _Solution:
                                  'feel; expected inertials, which an export starts from.')
         size, count = size_of(body), columns.n_columns
         self.described = {name: values for name, values in described.items()
-                          if values[0] > 0.0 and (name in observed or not is_consistent(values))}
-        self.mended = [name for name, values in self.described.items() if not is_consistent(values)]
+                          if values[0] > 0.0 and (name in observed or not is_consistent(values, FLAT))}
+        self.mended = [name for name, values in self.described.items()
+                       if not is_consistent(values, FLAT)]
         self._others = {name: made_consistent(values, size.length)
                         for name, values in self.described.items() if name not in observed}
         self._links, self._identifiable = observed, body.n_parameters

@@ -218,6 +218,8 @@ class TurnPeaks:
     def follow(self, position: Array, velocity: Array, seconds: float) -> Mask:
         """(n,) whether each joint turns at this sample."""
         self.moved += seconds * (np.abs(velocity) > SPEEDS[0])
+        if not self.place.any():
+            self.place = position.copy()
         self.place += seconds / REST_MEMORY_S * (position - self.place)
         known = min(SCALE_BLOCKS * BLOCK_S, OTHERS_SHARE * self.moved.max())
         self.new = (self.moved < known) & (np.abs(position - self.place) > APART)
@@ -324,6 +326,8 @@ class ContactGate:
         self._closed_ratio: Array = np.zeros(self._n_outputs)
         self.changed = False
         """Whether there was a change that lasted, of which nothing is learnt yet."""
+        if self.place is not None:
+            self.place.forget()
         self.reset()
 
     def reset(self) -> None:
@@ -567,7 +571,7 @@ class ContactGate:
     def _perhaps_open(self, stamp: int, calm: bool, own: bool, settings: Table) -> None:
         self._calm_since = (stamp if self._calm_since is None else self._calm_since) if calm else None
         if self._calm_since is not None and stamp - self._calm_since >= settings.gate_hold * NANOSECONDS:
-            if own and len(self._closures) == AGAIN and stamp - self._closures[0] <= AGAIN_S * NANOSECONDS:
+            if own and len(self._closures) == AGAIN and 0 <= stamp - self._closures[0] <= AGAIN_S * NANOSECONDS:
                 self._learn_closure()
             self._open()
         elif settings.gate_timeout and stamp - self._closed_since > settings.gate_timeout * NANOSECONDS:
@@ -588,9 +592,12 @@ class ContactGate:
 
         A robot that meanwhile stops shows in some outputs nothing but noise.
         """
+        refused = self._meanwhile.peaks
+        if len(refused) < FEWEST_BLOCKS:  # from too few, nothing would be usual
+            refused = np.resize(np.vstack([refused, self._meanwhile.peak]), (FEWEST_BLOCKS, self._n_outputs))
         for band in self._bands[1:] if self._closed_at else self._bands[:1]:
             usual = 0.0 if band.usual is None else band.usual
-            band.restore(np.maximum(self._meanwhile.peaks, usual))
+            band.restore(np.maximum(refused, usual))
             band.blocks = 0
 
     def _drop_stale(self) -> None:

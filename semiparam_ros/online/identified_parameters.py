@@ -3,6 +3,7 @@ and whether the robot has moved enough to identify them."""
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from typing import NamedTuple
 
 import numpy as np
@@ -39,11 +40,12 @@ class Excitation:
         """Take one sample into account."""
         widen(self._range, sample.position)
 
-    def sentences(self) -> list[str]:
+    def sentences(self, prismatic: Collection[str] = ()) -> list[str]:
         """One for each joint that has not moved enough; none before the first sample."""
         moved = self._range[1] - self._range[0]
-        return [f'joint {name} has moved {span:.3f} rad only, not enough to identify what depends on it'
-                for name, span in zip(self._joints, moved, strict=True) if 0.0 <= span < MOVED_ENOUGH]
+        units = ['m' if name in prismatic else 'rad' for name in self._joints]
+        return [f'joint {name} has moved {span:.3f} {unit} only, not enough to identify what depends on it'
+                for name, span, unit in zip(self._joints, moved, units, strict=True) if 0.0 <= span < MOVED_ENOUGH]
 
 
 class Conditioning(NamedTuple):
@@ -123,36 +125,48 @@ def carried_load(estimator: Estimator, before: Array | None = None, picked: Load
     """
     if not estimator.ready:
         return None
-    body, model = estimator.body, estimator.model
-    carried = [Load(str(effect.where), *_block(model, estimator.columns.blocks[str(index)]))
-               for index, effect in enumerate(estimator.columns.effects)
-               if effect.is_load and estimator.holds(effect)]
-    if not carried:
-        theta, covariance = _block(model, slice(0, body.n_parameters))
-        if not covariance.any():
+    body = estimator.body
+    theta, covariance = _posterior(estimator.model)
+    if not covariance.any():
+        return None
+    carried = _declared_load(estimator, theta, covariance)
+    if carried is None:
+        own = slice(0, body.n_parameters)
+        if not covariance[own, own].any():
             return None
         link = last_link(body)
-        carried = [Load(link, *_added_load(body, link, theta if before is None else before, covariance))]
-    elif not len(carried[0].parameters):
-        return None
-    carried += [] if picked is None else [picked]
-    first, *others = carried
-    for other in others:
-        there = load_seen_from(body, first.link, other.link)
-        if there is not None:
-            first = Load(first.link, first.parameters + there @ other.parameters,
-                         first.covariance + there @ other.covariance @ there.T)
-    return first
+        learnt = theta[own] if before is None else before
+        carried = Load(link, *_added_load(body, link, learnt, covariance[own, own]))
+    there = None if picked is None else load_seen_from(body, carried.link, picked.link)
+    if picked is None or there is None:
+        return carried
+    return Load(carried.link, carried.parameters + there @ picked.parameters,
+                carried.covariance + there @ picked.covariance @ there.T)
 
 
-def _block(model: Model, block: slice) -> tuple[Array, Array]:
-    """Coefficients (k,) of a block of columns, and their covariance (k, k); empty where the model has none."""
-    theta, start = model.part(block), block.start - model.covered.start
-    covariance, learnt = np.zeros((len(model.theta), len(model.theta))), model.recursion.n_columns
+def _posterior(model: Model) -> tuple[Array, Array]:
+    """Coefficients (p,) of all columns and their covariance (p, p); zeros where the model learns none."""
+    learnt, absent, n = model.recursion.n_columns, model.covered.start, model.covered.stop
+    theta, covariance = np.zeros(n), np.zeros((n, n))
+    theta[absent:] = model.theta
     if learnt:
         covariance[-learnt:, -learnt:] = model.recursion.theta_covariance()
-    inside = slice(start, start + len(theta))
-    return theta, covariance[inside, inside]
+    return theta, covariance
+
+
+def _declared_load(estimator: Estimator, theta: Array, covariance: Array) -> Load | None:
+    """All declared loads that are there now, where the first of them is; None without any."""
+    columns = estimator.columns
+    acting = [(str(effect.where), columns.blocks[str(index)]) for index, effect in enumerate(columns.effects)
+              if effect.is_load and estimator.holds(effect)]
+    if not acting:
+        return None
+    (link, _), weights = acting[0], np.zeros((10, len(theta)))
+    for other, block in acting:
+        there = load_seen_from(estimator.body, link, other)
+        if there is not None:
+            weights[:, block] = there
+    return Load(link, weights @ theta, weights @ covariance @ weights.T)
 
 
 def _added_load(body: RigidBody, link: str, theta: Array, covariance: Array) -> tuple[Array, Array]:

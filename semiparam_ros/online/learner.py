@@ -158,9 +158,10 @@ class Learner:
         """Answer a sample, then learn it."""
         if self.tare.active:
             sample = sample._replace(outputs=sample.outputs - self.tare.bias)
+        measured = sample.outputs
         sample, of_tools = self.tools.taken_off(sample)
         sample, of_changes = self.changes.applied.taken_off(sample)
-        prediction = self._predict(sample)
+        prediction = self._predict(sample, measured)
         if prediction is None:
             self.lost += 1
             return
@@ -224,10 +225,10 @@ class Learner:
         self.switcher.clear_pending()
         self.estimator.clear_pending()
 
-    def _predict(self, sample: Sample) -> Prediction | None:
-        """The prediction of a sample; None where the active model fails, but is not yet known to be broken."""
+    def _predict(self, sample: Sample, measured: Array) -> Prediction | None:
+        """See :meth:`Estimator.predict`; None where the active model fails, but is not yet known to be broken."""
         try:
-            prediction = self.estimator.predict(sample)
+            prediction = self.estimator.predict(sample, measured)
             if not (are_finite(prediction.mean) and are_finite(prediction.std)):
                 raise FloatingPointError('it predicts values that are not finite')
         except Exception as error:
@@ -237,7 +238,7 @@ class Learner:
             if not broken:
                 return None
             self._fall_back(error)
-            return self.estimator.predict(sample)
+            return self.estimator.predict(sample, measured)
         self._failures = 0
         return prediction
 
@@ -270,11 +271,11 @@ class Learner:
         return prediction._replace(mean=prediction.mean + self.tare.bias) if self.tare.active else prediction
 
     def _emit(self, answer: Answer) -> None:
-        sample = answer.prediction.sample
+        prediction, sample = answer.prediction, answer.prediction.sample
         self.answered += 1
         self._seen += 1
         self.learnt += answer.learnt
-        self.tare.add(sample.stamp, sample.outputs - answer.prediction.model_mean, answer.prediction.ready)
+        self.tare.add(sample.stamp, sample.outputs - prediction.model_mean, prediction.ready and not prediction.off)
         self._listener.answered(answer)
         self.history.append(sample, answer.learning)
 
@@ -388,6 +389,7 @@ class Learner:
         before, self.settings = self.settings, settings
         if settings.tools != self.tools.texts:
             self.tools = Tools(self.body, settings.tools)
+            self.tare.begin_anew()
         sentence = self._change_model(settings)
         self.switcher.set_shadows(settings, self.history, retry=True)
         return '' if same_model(before, settings) else sentence

@@ -16,6 +16,7 @@ import numpy as np
 from semiparam_ros.core.columns import Memory
 from semiparam_ros.core.compiled import Matrix, Strided, Vector, compiled
 from semiparam_ros.core.estimator import Estimator
+from semiparam_ros.core.hyperparameters.window import ROUNDING
 from semiparam_ros.core.prediction import Prediction
 from semiparam_ros.core.types import Array, Mask
 
@@ -64,7 +65,7 @@ class Errors:
         """Root of the normalised mean squared error, the mean over the outputs that vary."""
         _, mean, square, error = self.sums / np.maximum(self.sums[0], 1.0)
         variance = square - mean**2
-        varies = variance > 0.0
+        varies = variance > ROUNDING * square
         return float(np.sqrt(np.mean(error[varies] / variance[varies]))) if varies.any() else 0.0
 
 

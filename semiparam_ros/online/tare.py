@@ -42,14 +42,17 @@ class Tare:
         self.active = bool(bias.any())
         """Whether there is a bias: asked of every sample."""
 
-    def add(self, stamp: int, residual: Array, ready: bool) -> None:
-        """Keep the residual of one answer for a second, unless the model is provisional."""
-        if not ready:
-            return
-        self._residuals.append((stamp, residual))
-        self._came = time.monotonic()
-        while not 0 <= stamp - self._residuals[0][0] <= WINDOW_NS:
+    def add(self, stamp: int, residual: Array, counts: bool) -> None:
+        """Keep the residual of one answer for a second, where it counts."""
+        if counts:
+            self._residuals.append((stamp, residual))
+            self._came = time.monotonic()
+        while self._residuals and not 0 <= stamp - self._residuals[0][0] <= WINDOW_NS:
             self._residuals.popleft()
+
+    def begin_anew(self) -> None:
+        """Forget the residuals, as where the outputs are another tool's; the bias stays."""
+        self._residuals.clear()
 
     def take(self) -> int:
         """Move the bias; returns from how many samples.

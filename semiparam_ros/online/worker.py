@@ -44,6 +44,9 @@ GIVE_UP_S = 0.05
 """How soon a process hears that nobody wants the result of its job any more."""
 LOOKS = 30
 """So many looks at it in that time."""
+NOT_YET = (signal.SIGINT, signal.SIGUSR1)
+"""A process inherits that these are blocked: a Ctrl-C while it is still importing is not for it, and
+that its job is to give way must not end it."""
 
 Scheduler: TypeAlias = Callable[..., object]
 """Takes a function and its arguments, and calls it in the executor's thread."""
@@ -96,7 +99,7 @@ def forked_worker() -> Worker:
 
     It costs nothing, where one that is spawned loads for two seconds of processor time.
     """
-    usual = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])  # until the worker has learnt to ignore it
+    usual = signal.pthread_sigmask(signal.SIG_BLOCK, NOT_YET)
     try:
         return _started('fork')
     finally:
@@ -255,9 +258,8 @@ class ProcessBackground:
 
 def _spawned_worker() -> Worker:
     """A worker begun anew, from a thread that may not unblock SIGINT later."""
-    resource_tracker.ensure_running()  # which would unblock the signal
-    # The process inherits this: a Ctrl-C while it is still importing is not for it.
-    signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+    resource_tracker.ensure_running()  # which would unblock SIGINT
+    signal.pthread_sigmask(signal.SIG_BLOCK, NOT_YET)
     return _started('spawn')
 
 
@@ -325,6 +327,7 @@ def _work(line: Connection, other_end: Connection | None = None) -> None:
     gc.freeze()  # pages of what is loaded that the collector does not write stay shared with the node
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGUSR1, _give_up)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGUSR1])
     os.nice(NICENESS)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     import scipy.optimize  # noqa: F401

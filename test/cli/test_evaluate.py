@@ -202,6 +202,8 @@ def test_phases_begin_when_learning_does():
 def test_a_constant_channel_has_no_normalised_error():
     errors, measured = np.array([[1.0, 2.0], [1.0, -2.0]]), np.array([[5.0, 3.0], [5.0, 7.0]])
     assert normalised_errors(errors, measured) == ([None, 1.0], [1.0, 2.0])
+    measured = np.column_stack([np.full(500, 0.3), np.arange(500.0)])  # whose variance is rounding, not 0
+    assert normalised_errors(np.ones((500, 2)), measured)[0] == [None, pytest.approx(1.0 / measured[:, 1].var())]
 
 
 def test_time_goes_on_from_one_recording_to_the_next():

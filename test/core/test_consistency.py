@@ -76,6 +76,17 @@ def test_a_body_that_cannot_be_becomes_the_next_one_that_can(numbers, mass):
     assert np.allclose(made_consistent(mended, 1.0), mended)
 
 
+@pytest.mark.parametrize('seed', range(12))
+def test_a_plate_without_a_thickness_is_a_reference_whatever_rounding_makes_of_it(seed):
+    rng = np.random.default_rng(seed)
+    one, other = rng.uniform(1e-3, 0.05, 2)
+    turn = pin.exp3(rng.normal(size=3) * (seed % 2))
+    inertia = turn @ np.diag([one, other, one + other]) @ turn.T
+    plate = pin.Inertia(rng.uniform(0.1, 5.0), rng.normal(0.0, 0.2, 3), inertia).toDynamicParameters()
+    found = consistent_bodies(plate, 10.0 * np.eye(10), [Body(made_consistent(plate, 1.0), np.eye(10))])[0]
+    assert is_consistent(found) and np.allclose(found, plate, atol=2e-3)
+
+
 def test_a_body_without_mass_is_refused():
     with pytest.raises(SemiparamError, match='mass of 0 kg; expected more than 0'):
         made_consistent(np.zeros(10), 1.0)

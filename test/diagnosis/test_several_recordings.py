@@ -70,6 +70,16 @@ def test_recordings_are_joined_without_touching_one_another():
         Samples.joined([])
 
 
+@pytest.mark.parametrize('count', [2, 12])
+def test_a_recording_of_a_moment_does_no_harm(count):
+    """It ended with an internal error, or was told to jump."""
+    body, (one, two, _) = recorded('wrench')
+    alone, beside = (diagnose(body, samples, only=['payload']) for samples in (one, Samples.joined([one, two[:count]])))
+    assert beside.verdict == alone.verdict and not beside.findings
+    with pytest.raises(SemiparamError, match=f'recording 2 holds {count} samples; expected at least 20'):
+        whole_groups(Samples.joined([one, two[:count]]), 20)
+
+
 def test_runs_of_recordings():
     _, samples = recorded('wrench')
     joined = Samples.joined(samples)

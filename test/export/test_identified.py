@@ -228,15 +228,31 @@ def test_a_load_that_the_samples_do_not_show_is_none():
     assert 'The samples show no load at r_hand: none is written.' in lines(found)
 
 
+def joined(before, after):
+    """The first half of one recording, then the second one of another."""
+    half = len(before) // 2
+    return replace(before, **{name: np.concatenate([getattr(before, name)[:half], getattr(after, name)[half:]])
+                              for name in ('position', 'velocity', 'acceleration', 'outputs')})
+
+
+def test_two_loads_on_a_link_begin_each_at_its_own_time():
+    def twice(spec):
+        loaded(spec)
+        body = spec.body('load')
+        body.mass, body.inertia = 2.0 * LOAD[0], [2.0 * value for value in LOAD[2]]
+
+    samples = joined(recording(WRENCH, seed=8, prepare=loaded), recording(WRENCH, seed=9, prepare=twice))
+    texts = ['payload@r_hand{"start_s": 0.5}', 'payload@r_hand{"start_s": 15.0}']
+    found, _ = exported(WRENCH, samples, texts, keep=True)
+    assert [(load.link, load.start_s) for load in found.loads] == [('r_hand', 0.5), ('r_hand', 15.0)]
+
+
 @pytest.mark.parametrize(('declared', 'within'), [
     ('', 0.8), ('{"start_s": 15.0}', 0.0), ('{"start_stamp_s": %s}', 1e-6)])
 def test_a_load_picked_up_later_is_told_from_the_links(declared, within):
-    before, after = recording(WRENCH, seed=8), recording(WRENCH, seed=9, prepare=loaded)
-    half = len(before) // 2
-    joined = replace(before, **{name: np.concatenate([getattr(before, name)[:half], getattr(after, name)[half:]])
-                                for name in ('position', 'velocity', 'acceleration', 'outputs')})
-    start = declared.replace('%s', str(joined.origin * 1e-9 + 15.0))
-    found, _ = exported(WRENCH, joined, [f'payload@r_hand{start}'])
+    samples = joined(recording(WRENCH, seed=8), recording(WRENCH, seed=9, prepare=loaded))
+    start = declared.replace('%s', str(samples.origin * 1e-9 + 15.0))
+    found, _ = exported(WRENCH, samples, [f'payload@r_hand{start}'])
     load = found.loads[0]
     assert load.mass == pytest.approx(LOAD[0], rel=0.05)
     assert load.start_s == pytest.approx(15.0, abs=within)

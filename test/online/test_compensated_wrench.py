@@ -86,6 +86,17 @@ def test_a_time_constant_of_zero_follows_at_once():
     assert stage.steps_since(299).max() > 1.5
 
 
+def test_a_tare_after_a_tool_was_declared_takes_none_of_its_weight_for_a_bias():
+    stage, samples = settled()
+    tools = Tools(BODY, [TOOL])
+    carried = [sample._replace(outputs=sample.outputs + tools.outputs(*sample[1:4])) for sample in samples]
+    stage.offer(carried[:100])
+    stage.learner.change(replace(stage.learner.settings, tools=(TOOL,)))
+    stage.offer(carried[100:110])
+    assert stage.learner.tare.take() == 10
+    assert np.abs(stage.learner.tare.bias).max() < 0.5, 'eight newtons are the tool'
+
+
 def test_a_tool_that_is_declared_is_taken_off_without_learning_anew_and_without_a_jump():
     """What the model has learnt stays to the last bit, and predictions hold the tool from the next sample on."""
     stage, samples = settled()

@@ -12,6 +12,7 @@ from semiparam_ros.core.recursion import Prior
 from semiparam_ros.core.samples import Sample
 from semiparam_ros.online.contact_gate import ContactGate, explained
 from semiparam_ros.settings import Settings
+from support.node_helpers import BODY
 
 RATE_HZ = 20
 SCALES = np.array([20.0, 1.0, 0.05])
@@ -103,6 +104,15 @@ def test_a_lasting_change_is_let_in_after_the_timeout_and_pushes_are_found_again
     assert stand.judge(coloured(10, seed=3) + push).all()
 
 
+@pytest.mark.parametrize('timeout', [0.3, 1.0])
+def test_after_a_short_timeout_what_was_usual_is_not_forgotten(timeout):
+    stand, load = Stand(replace(ON, gate_timeout=timeout)), np.array([200.0, 20.0, 0.0])
+    stand.judge(white(RATE_HZ * 60))
+    refused = stand.judge(white(int(RATE_HZ * timeout) + 3, seed=1) + load)
+    assert refused[:int(RATE_HZ * timeout)].all() and stand.gate.changes == 1
+    assert stand.judge(white(5, seed=2) + 1000.0 * SCALES).all()
+
+
 def test_a_change_that_leaves_an_output_silent_makes_nothing_louder():
     """An emergency stop in motion: the motor that holds nothing shows noise alone until the gate has opened."""
     stand, stopped = Stand(), np.array([300.0, 10.0, 0.0])
@@ -172,6 +182,15 @@ def test_a_joint_that_moves_for_the_first_time_does_not_touch_and_is_judged_late
     for row in zip(innovations[110:], velocity[110:], strict=True):  # by now the model has learnt the friction
         stand._one(*row, 1.0, 0.0)
     assert all(stand._one(row + push[[1, 0, 1]] / 15.0, velocity[-1], 1.0, 0.0) for row in white(10, seed=2))
+
+
+def test_a_joint_that_rests_anywhere_from_the_start_is_judged():
+    stand, innovations = Stand(joints=np.arange(3)), white(RATE_HZ * 12)
+    stand.position, velocity = np.ones(3), np.zeros((RATE_HZ * 12, 3))
+    velocity[:, 1] = np.sin(np.arange(len(velocity)) / RATE_HZ)
+    innovations[-20:, 0] += 100.0 * SCALES[0]
+    refused = [stand._one(*row, 1.0, 0.0) for row in zip(innovations, velocity, strict=True)]
+    assert not any(refused[:-20]) and all(refused[-20:])
 
 
 @pytest.mark.parametrize(('sigmas', 'by_friction'), [(8.0, False), (20.0, True)])
@@ -273,6 +292,21 @@ def test_what_comes_again_and_again_is_the_robots_own():
     assert stand.gate.contacts <= 12
 
 
+def test_closures_from_before_the_clock_was_set_back_are_not_those_of_the_last_seconds():
+    stand, jerk = Stand(), white(6, seed=5) + np.array([0.0, 15.0, 0.0])
+    stand.judge(white(RATE_HZ * 60))
+    for _ in range(2):
+        assert stand.judge(jerk).any()
+        stand.judge(white(RATE_HZ * 2, seed=1))
+    stand.gate.reset()
+    stand.stamp -= 3600 * 10**9
+    tails = len(stand.gate.state()['tails'][1])
+    stand.judge(jerk)
+    stand.judge(white(8, seed=2))
+    assert stand.gate.contacts == 3 and not stand.gate.closed
+    assert len(stand.gate.state()['tails'][1]) == tails, 'it was no motion of the robot itself'
+
+
 def test_who_taps_a_robot_again_and_again_is_noticed_each_time():
     """After the sixth tap in a quarter of a minute taps were usual, and learnt."""
     stand, innovations = Stand(), white(RATE_HZ * 120)
@@ -339,3 +373,12 @@ def test_what_a_push_explains_is_told_whatever_the_usual_peaks_are():
     beside_rounding = 1e15 * maps[:1, :, :1] * [1.0, 0.5, 0.25]  # of one joint, as efforts have it
     pushed = beside_rounding[0] @ np.ones(3)
     np.testing.assert_allclose(explained(pushed, beside_rounding), np.abs(pushed), rtol=1e-9)
+
+
+def test_a_state_brings_no_contact_of_before_it_was_loaded():
+    gate = ContactGate.of(BODY)
+    saved = gate.state()
+    gate.place.see(np.zeros(BODY.n_joints), np.ones(6), np.ones(6), 0.1)
+    assert gate.place.probabilities.any()
+    gate.restore(saved)
+    assert not gate.place.probabilities.any()

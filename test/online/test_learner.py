@@ -21,14 +21,14 @@ from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.diagnosis.setup.identifiability import unidentifiable
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.experiments.evaluation import OfflineLearner
-from semiparam_ros.online import diagnosis_jobs, model_jobs, state_file
+from semiparam_ros.online import diagnosis_jobs, model_jobs, state_file, transport
 from semiparam_ros.online.history import History, batch_of
 from semiparam_ros.online.identified_parameters import Excitation, carried_load, conditioning, reported_load
 from semiparam_ros.online.learning import Learning
 from semiparam_ros.online.model_jobs import new_estimator
 from semiparam_ros.online.model_switcher import same_model
 from semiparam_ros.online.tare import Tare
-from semiparam_ros.online.worker import ProcessBackground, Urgency
+from semiparam_ros.online.worker import ProcessBackground, Urgency, _spawned_worker
 from semiparam_ros.ros.estimator.subscriptions import ClockWatch
 from semiparam_ros.settings.build import build_estimator, build_rigid_body, model_options
 from support.learner_stage import Stage
@@ -494,6 +494,22 @@ def test_a_bias_that_no_sensor_has_is_not_taken():
     assert not tare.active
 
 
+def test_a_tare_goes_by_the_last_second_alone_while_motors_are_on():
+    tare = Tare(6)
+    tare.add(0, np.ones(6), True)
+    tare.add(2 * 10**9, np.ones(6), False)
+    with pytest.raises(SemiparamError, match='no prediction of the last second'):
+        tare.take()
+    stage = Stage(SETTINGS, InlineBackground())
+    samples = motion(300)
+    stage.offer(samples[:200])
+    still = samples[200]._replace(outputs=np.full(6, 1e-3))
+    stage.offer([still._replace(stamp=still.stamp + index * PERIOD_NS) for index in range(100)])
+    assert stage.answers[-1].prediction.off
+    with pytest.raises(SemiparamError, match='no prediction of the last second'):
+        stage.learner.tare.take()
+
+
 def test_files_that_do_not_fit_are_refused(tmp_path):
     stage, path = Stage(SETTINGS, InlineBackground()), tmp_path / 's.npz'
     stage.offer(motion(100))
@@ -633,6 +649,7 @@ def test_joints_that_stand_still_are_named_and_the_conditioning_tells_so():
         excitation.add(sample)
     assert excitation.sentences() == [
         'joint b has moved 0.000 rad only, not enough to identify what depends on it']
+    assert ' 0.000 m only' in excitation.sentences(prismatic={'b'})[0]
     found = []
     for samples in (moving, still):
         estimator = Estimator(BODY, model_options(replace(SETTINGS, variant='P')))
@@ -663,6 +680,20 @@ def test_a_rigid_body_that_stays_as_the_window_left_it_tells_of_no_load(variant)
     for sample in motion(200):
         estimator.step(sample)
     assert estimator.ready and carried_load(estimator) is None
+
+
+def test_two_loads_on_a_link_are_known_as_well_as_their_sum():
+    """The first was there for a moment alone, so each by itself is hardly known."""
+    texts = 'payload@ft{"start_s": 3.0}', 'payload@ft{"start_s": 3.1}'
+    estimator = build_estimator(replace(SETTINGS, variant='P', effects=texts))
+    for sample in motion(400):
+        estimator.step(sample)
+    places = [estimator.columns.blocks[name].start for name in ('0', '1')]
+    both = estimator.model.recursion.theta_covariance()[np.ix_(places, places)]
+    found = carried_load(estimator)
+    assert found.covariance[0, 0] == pytest.approx(both.sum(), rel=1e-9)
+    assert both.sum() < 0.5 * np.trace(both), 'which it said'
+    assert found.parameters[0] == pytest.approx(estimator.model.theta[places].sum(), abs=1e-12)
 
 
 def test_a_payload_is_a_body_or_not_told_and_nothing_is_told_before_there_is_a_model():
@@ -770,6 +801,14 @@ def test_what_is_urgent_interrupts_what_is_not_which_begins_anew(tmp_path):
         tasks.get(timeout=60)()
     background.close()
     assert results == [4, 6, 8, 'done', 2]
+
+
+def test_a_process_that_is_still_loading_does_not_die_of_a_job_that_is_to_give_way():
+    process, line = _spawned_worker()
+    os.kill(process.pid, signal.SIGUSR1)
+    transport.send(line, (max, (1, 3)))
+    assert transport.receive(line).result == 3
+    process.kill()
 
 
 def wait_for(path, seconds):

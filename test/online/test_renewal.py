@@ -7,13 +7,15 @@ from functools import partial
 import numpy as np
 import pytest
 
+from semiparam_ros.core.prediction import Prediction
+from semiparam_ros.core.samples import Sample
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.experiments.evaluation import OfflineLearner
 from semiparam_ros.online.history import batch_of
 from semiparam_ros.online.learning import Learning
 from semiparam_ros.online.model_jobs import known_of, new_estimator, renew
 from semiparam_ros.online.model_switcher import same_model
-from semiparam_ros.online.renewal import RecentWindow, later_window
+from semiparam_ros.online.renewal import Errors, RecentWindow, later_window
 from semiparam_ros.online.worker import ProcessBackground, Urgency
 from support.learner_stage import Stage
 from support.node_helpers import BODY, SETTINGS, InlineBackground, faster, motion
@@ -177,3 +179,15 @@ def test_a_later_window_is_made_of_the_latest_samples_learnt():
     chosen = later_window(learnt, 100)
     assert chosen.sum() == 100 and chosen[190:].sum() == 100 and not chosen[~learnt].any()
     assert later_window(learnt[:20], 100).all()
+
+
+@pytest.mark.parametrize('constant', [0.3, 1e-3, 0.0])
+def test_an_output_that_stays_the_same_decides_nothing(constant):
+    """Its variance is rounding, which errors of a thousandth exceed ten thousand times."""
+    errors, rng = Errors(2), np.random.default_rng(0)
+    for _ in range(500):
+        outputs = np.array([constant, rng.standard_normal()])
+        prediction = Prediction(*[None] * len(Prediction._fields))._replace(
+            mean=outputs + np.array([1e-3, 0.1]), sample=Sample(0, *[np.zeros(0)] * 3, outputs))
+        errors.add(prediction)
+    assert errors.size == pytest.approx(0.1, rel=0.1)

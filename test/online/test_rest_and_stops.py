@@ -9,6 +9,7 @@ import pytest
 
 from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.model import ModelOptions
+from semiparam_ros.core.robot.tools import Tools
 from semiparam_ros.settings.build import build_rigid_body
 from support.declared_effects import panda, ur3
 from support.learner_stage import Stage
@@ -77,6 +78,20 @@ def test_a_stop_teaches_nothing_and_no_error_bursts_after_it(forgetting, gate):
         for start in range(0, len(after), 20):
             rows = slice(start, start + 20)
             assert np.sqrt(np.mean(found[rows] ** 2)) < 1.5 * np.sqrt(np.mean(wanted[rows] ** 2)), (outputs, start)
+
+
+@pytest.mark.parametrize('noise', [0.0, 1e-3])
+def test_motors_that_are_off_are_known_whatever_tool_is_declared(noise):
+    """What a tool adds is taken off: of no efforts at all that leaves some."""
+    tool = 'ft {"mass": 0.3, "centre": [0, 0.02, 0.1], "inertia": [3e-3, 0, 0, 3e-3, 0, 1e-3]}'
+    stage, tools = Stage(replace(EFFORTS, variant='P', tools=(tool,)), InlineBackground(), BODY), Tools(BODY, [tool])
+    samples = [sample._replace(outputs=sample.outputs + tools.outputs(*sample[1:4]))
+               for sample in motion(200, body=BODY)]
+    stage.offer(samples)
+    held, rng = samples[-1]._replace(velocity=np.zeros(2), acceleration=np.zeros(2)), np.random.default_rng(0)
+    stage.offer([held._replace(stamp=held.stamp + number * PERIOD_NS, outputs=noise * rng.standard_normal(2),
+                               position=held.position + 1e-4 * rng.standard_normal(2)) for number in range(1, 20)])
+    assert all(answer.prediction.off and not answer.learnt for answer in stage.answers[201:])
 
 
 def residuals(stage, count):

@@ -397,7 +397,8 @@ def offline(settings: Settings, samples: list[Sample], tares: list[int], takeove
         refused = learner.learner.gate.refused
         prediction = learner.step(sample, True)
         contact = learner.learner.gate.refused > refused
-        tare.add(sample.stamp, prediction.sample.outputs - prediction.model_mean, prediction.ready)
+        tare.add(sample.stamp, prediction.sample.outputs - prediction.model_mean,
+                 prediction.ready and not prediction.off)
         mean = prediction.mean + tare.bias if tare.active else prediction.mean
         learnt = not contact and prediction.motion.is_news
         record.answers.append((sample.stamp, learnt, contact, prediction.ready, mean.tolist(),

@@ -44,6 +44,9 @@ SYMMETRIC[np.arange(10), _COLUMNS, _ROWS] = SYMMETRIC[np.arange(10), _ROWS, _COL
 THICKNESS = 0.01
 """Of the arm's length, the standard deviation of a body's mass along each axis, where the
 description has a body that cannot be."""
+FLAT = 1e-12
+"""See :func:`is_consistent`: what is less of a described body is rounding, as of a plate without a
+thickness."""
 DECREMENT = 1e-10
 """Newton's method ends where a step promises less, over the value or 1 nat."""
 MOST_STEPS = 200
@@ -86,9 +89,14 @@ def inertial_parameters(pseudo: Array) -> Array:
                      inertia[..., 0, 2], inertia[..., 1, 2], inertia[..., 2, 2]], axis=-1)
 
 
-def is_consistent(parameters: Array) -> bool:
-    """Tell whether a body with these parameters (10,) can be."""
-    return bool(np.linalg.eigvalsh(_central(pseudo_inertia(parameters))).min() > 0.0)
+def is_consistent(parameters: Array, least: float = 0.0) -> bool:
+    """Tell whether a body with these parameters (10,) can be.
+
+    :param least: second moment along any axis through its centre, over those about its origin.
+    """
+    pseudo = pseudo_inertia(parameters)
+    smallest = np.linalg.eigvalsh(_central(pseudo)).min()
+    return bool(smallest > least * np.trace(pseudo[:3, :3]))
 
 
 def distance(parameters: Array, reference: Array) -> float:
@@ -105,7 +113,7 @@ def made_consistent(parameters: Array, length: float) -> Array:
     """
     if not parameters[0] > 0.0:
         raise SemiparamError(f'a body has a mass of {parameters[0]:g} kg; expected more than 0.')
-    if is_consistent(parameters):
+    if is_consistent(parameters, FLAT):
         return parameters
     central = _central(pseudo_inertia(parameters))
     values, axes = np.linalg.eigh(central[:3, :3])

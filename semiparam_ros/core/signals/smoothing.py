@@ -86,7 +86,9 @@ def _joined(whole: Samples, parts: Sequence[Samples]) -> Samples:
 
 def _with_noise(samples: Samples, motion: Samples, noise: Array, measured: int, order: int) -> Samples:
     """A motion smoothed with the hyperparameters of the recording, after noise (measured, N, n_joints), in units of the
-    recording's own, was added to what is measured of it."""
+    recording's own, was added to what is measured of it. So few samples that a white derivative explains any stay."""
+    if len(motion) <= order:
+        return motion
     columns = []
     for joint, logs in enumerate(_hyperparameters(samples, measured, order)):
         problem, step, centre = _problem(motion.time, _measured(motion, joint, measured), order)

@@ -12,16 +12,22 @@ from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Mask
 from semiparam_ros.effects import Effect, kinds
 from semiparam_ros.effects.base import Span
+from semiparam_ros.errors import SemiparamError
 
 
 def whole_groups(samples: Samples, factor: int, stretches: Sequence[int] = ()) -> Samples:
     """The samples without a remainder of each recording, so that no mean of ``factor`` samples is over two of them.
 
     :param stretches: how many samples each stretch of a long recording holds, in place of recordings.
+
+    Raises SemiparamError for a recording of fewer.
     """
     counts = stretches or [part.stop - part.start for part in samples.recordings]
     if len(counts) == 1 or factor == 1:
         return samples
+    if not stretches and min(counts) < factor:
+        raise SemiparamError(f'recording {counts.index(min(counts)) + 1} holds {min(counts)} samples; '
+                             f'expected at least {factor}, which are averaged.')
     starts = np.cumsum([0, *counts[:-1]]).tolist()
     keep = [np.arange(start, start + count - count % factor) for start, count in zip(starts, counts, strict=True)]
     return samples[np.concatenate(keep)]

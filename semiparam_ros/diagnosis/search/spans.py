@@ -35,8 +35,9 @@ def best_spans(fit: Fit, effect: Effect, columns: Array, most: int | None = None
     model: then the sign tells them apart where the kind has one.
     """
     fitting, config = np.flatnonzero(fit.train_mask), fit.config
-    breaks = [] if effect.of_one_recording else np.searchsorted(
+    begins = [] if effect.of_one_recording else np.searchsorted(
         fitting, [part.start for part in fit.samples.recordings[1:]]).tolist()
+    breaks = [number for number in begins if 0 < number < len(fitting)]  # of some recordings nothing may fit
     margin = max(int(config.start_margin * len(fitting)), 1)
     within = np.linspace(margin, len(fitting) - margin, config.start_grid if effect.changes else 0).astype(int)
     edges = np.unique([*within.tolist(), *breaks]).astype(int)

@@ -356,7 +356,7 @@ def _unmoved(learner: Learner) -> str:
 
 def model_report(learner: Learner, tally: Tally) -> Report:
     """Health of the model, horizon errors, excitation and conditioning."""
-    innovation, sentences = tally.innovation(), tally.excitation.sentences()
+    innovation, sentences = tally.innovation(), tally.excitation.sentences(learner.body.prismatic)
     values: dict[str, object] = {'standardised innovation (rms)': '' if innovation is None else round(innovation, 3)}
     if tally.errors is not None:
         values |= {f'horizon error {name}': f'{error:.3g}' for name, error in
