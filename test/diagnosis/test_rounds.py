@@ -98,6 +98,14 @@ def test_a_joint_that_rests_wherever_it_is_judged_is_judged_all_the_same():
     assert nmse(residual, outputs, valid[:, None] & counted) == pytest.approx(judged.nmse)
 
 
+def test_a_joint_that_moves_where_it_is_judged_alone_is_fitted_all_the_same():
+    """No output of it was left to tell its noise, and the diagnosis ended in an error."""
+    samples, counted = moving(), np.ones((COUNT, 4), dtype=bool)
+    counted[:, 2] = np.arange(COUNT) < 200
+    fit = starting_fit(BODY, samples, [], np.arange(COUNT) >= 180, counted=counted)
+    assert np.all(fit.counts == COUNT - 180) and np.all(np.isfinite(fit.theta))
+
+
 def test_a_joint_that_never_moves_still_counts_and_one_that_turns_back_does_not_rest():
     samples = moving()
     position = samples.position.copy()
