@@ -141,11 +141,23 @@ def test_targets_that_do_not_count_are_in_no_fit():
 
 def test_what_errors_of_the_motion_leave_is_told_by_outputs_that_count():
     samples, body = smooth_motion(4, 800), icub()
-    other = body.regressors(resmoothed(samples, 15, 4)) - body.regressors(samples)
+    other = body.regressors(resmoothed(samples, 15)) - body.regressors(samples)
     counted = np.arange(800)[:, None] // 40 % 2 == np.zeros(6)
     residual = np.where(counted, other @ np.linspace(1.0, 2.0, body.n_parameters), 50.0)
     left = without_input_errors(body, samples, residual, np.ones(800, dtype=bool), np.ones(6), counted=counted)
     assert np.abs(left[counted]).max() < 1e-3 * np.abs(residual[counted]).max()
+
+
+def test_motion_is_not_smoothed_across_gaps_and_breaks():
+    """What was smoothed across one was a hundred times what errors of an acceleration are, at samples that fit."""
+    motion = smooth_motion(4, 400)
+    parts = [motion[:100], motion[200:300], motion[390:]]
+    stamps = np.concatenate([part.stamps for part in parts])
+    cut = replace(motion[np.isin(motion.stamps, stamps)], breaks=(int(motion.stamps[390]),))
+    found, (first, second, short) = resmoothed(cut, 15), (replace(part, breaks=()) for part in parts)
+    for role in ('position', 'velocity', 'acceleration'):
+        each = [getattr(part, role) for part in (resmoothed(first, 15), resmoothed(second, 15), short)]
+        np.testing.assert_array_equal(getattr(found, role), np.concatenate(each))
 
 
 def test_too_few_samples_give_no_verdict():
