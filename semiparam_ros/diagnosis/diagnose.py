@@ -13,7 +13,7 @@ from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array, Mask
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
 from semiparam_ros.diagnosis.data.outliers import excluded, gaps, margin, untouched, working_factor
-from semiparam_ros.diagnosis.data.recordings import alone, beside_breaks, own_offsets, present, whole_groups
+from semiparam_ros.diagnosis.data.recordings import alone, beside_breaks, own_offsets, own_time, present, whole_groups
 from semiparam_ros.diagnosis.data.splits import interleaved_split, ranges
 from semiparam_ros.diagnosis.evaluation import Evaluation, evaluate_here, evaluate_there
 from semiparam_ros.diagnosis.findings import Finding, declared_findings, findings, places_in
@@ -215,7 +215,7 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
     structure, fast = (None, []) if setup else _left(final, samples, start)
     everything, told = _told(final, steps, samples, start, other is None)
     found = findings(final, steps, everything, told)
-    touches, notes = [] if setup else contacts(final), _notes(samples, start, found)
+    touches, notes = [] if setup else contacts(final), _notes(samples, start, found, names)
     for fit in (start.first, final, everything):
         fit.forget()
     return Diagnosis(
@@ -353,7 +353,7 @@ def verdict(first: Fit, final: Fit, structure: Structure | None, unexplained: bo
     return 'nothing_missing' if final is first else 'effect_found'
 
 
-def _notes(samples: Samples, start: _Start, found: list[Finding]) -> list[str]:
+def _notes(samples: Samples, start: _Start, found: list[Finding], names: Sequence[str]) -> list[str]:
     """Doubts that are said beside the result."""
     config = start.first.config
     filter_declared = any(effect.kind == VelocityFilter.kind for effect in start.first.effects)
@@ -361,11 +361,12 @@ def _notes(samples: Samples, start: _Start, found: list[Finding]) -> list[str]:
     count, left_out = int((~start.clean).sum()), list[str]()
     if count:
         left_out = [f'{count} of {len(samples)} samples next to gaps and shocks are left out.']
-    return [*stamps, *unidentifiable(start.first.body, samples, config), *left_out,
-            *_changed_in_gaps(found, samples, config)]
+    return [*stamps, *unidentifiable(start.first.body, samples, config, names), *left_out,
+            *_changed_in_gaps(found, samples, names, config)]
 
 
-def _changed_in_gaps(found: list[Finding], samples: Samples, config: DiagnosisConfig) -> list[str]:
+def _changed_in_gaps(found: list[Finding], samples: Samples, names: Sequence[str],
+                     config: DiagnosisConfig) -> list[str]:
     """A sentence for each effect that may have begun, or ended, anywhere in a gap, as between two stretches of a long
     recording."""
     time, beside, sentences = samples.time, margin(samples, config), list[str]()
@@ -374,6 +375,7 @@ def _changed_in_gaps(found: list[Finding], samples: Samples, config: DiagnosisCo
             earliest, latest = time[max(gap.before - beside, 0)], time[min(gap.before + 1 + beside, len(time) - 1)]
             for word, time_s in (('began', effect.start_s), ('ended', effect.end_s)):
                 if time_s is not None and earliest <= time_s <= latest:
-                    sentences.append(f'{place(effect.kind, effect.where)} {word} between {gap.start_s:.1f} and '
-                                     f'{gap.start_s + gap.length_s:.1f} s, where nothing was looked at.')
+                    start_s, of = own_time(samples, names, gap.start_s)
+                    sentences.append(f'{place(effect.kind, effect.where)} {word} between {start_s:.1f} and '
+                                     f'{start_s + gap.length_s:.1f} s{of}, where nothing was looked at.')
     return sentences

@@ -216,13 +216,14 @@ def too_fast(body: RigidBody, samples: Samples, inputs: Inputs, fit: Fit) -> lis
 def late(inputs: Inputs, samples: Samples, filter_declared: bool = False) -> list[str]:
     """A sentence about velocities, unless their filter is declared, and one about accelerations, that come after the
     positions, as filtered ones do."""
-    least, used = 0.5e-9 * float(np.median(np.diff(samples.stamps))), SMOOTHED.get(inputs.motion, (0,))[0]
-    sentences = []
+    least, sentences = 0.5e-9 * float(np.median(np.diff(samples.stamps))), []
     remedies = (f'declare velocity_filter{{"time_constant_s": {inputs.lags[0]:.2g}}}',
                 'where none are published, raise acceleration.cutoff')
     for order, (name, lag, remedy) in enumerate(
             zip(('velocities', 'accelerations'), inputs.lags, remedies, strict=True), start=1):
         if lag > least and not (order == 1 and filter_declared):
+            smooth_but = order == 1 and inputs.motion == BUT_ACCELERATIONS
+            used = SMOOTHED.get('smoothed' if smooth_but else inputs.motion, (0,))[0]
             here = ('Here they were taken as much earlier.' if used > order else 'They were not used here.' if used else
                     'Until then a friction or a delay found here may be off.')
             sentences.append(f'The {name} come {1e3 * lag:.1f} ms after the motion of the positions, as a filter makes '

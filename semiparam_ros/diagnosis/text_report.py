@@ -7,10 +7,8 @@ from collections.abc import Sequence
 from datetime import datetime, timezone
 from typing import NamedTuple
 
-import numpy as np
-
 from semiparam_ros.core.samples import Samples
-from semiparam_ros.diagnosis.data.recordings import breaks_s
+from semiparam_ros.diagnosis.data.recordings import breaks_s, own_time
 from semiparam_ros.diagnosis.diagnose import Diagnosis
 from semiparam_ros.diagnosis.findings import Finding, Quantity
 from semiparam_ros.diagnosis.search.stepwise import Rival
@@ -97,7 +95,9 @@ def _contacts(diagnosis: Diagnosis) -> list[str]:
     for contact in diagnosis.contacts:
         name, value = max(contact.channels.items(), key=lambda item: abs(item[1]))
         where = f' on the link after {contact.joint} or beyond it' if contact.joint else ''
-        lines.append(f'  {contact.start_s:.1f} to {contact.end_s:.1f} s{where}: {name} {value:+.2g} {units[name]}'
+        start_s, of = own_time(diagnosis.recorded.samples, diagnosis.names, contact.start_s)
+        end_s = start_s + contact.end_s - contact.start_s
+        lines.append(f'  {start_s:.1f} to {end_s:.1f} s{of}{where}: {name} {value:+.2g} {units[name]}'
                      + (f', and {listed([other for other in contact.channels if other != name])}'
                         if len(contact.channels) > 1 else '') + '.')
     count = 'once' if len(lines) == 1 else f'{len(lines)} times'
@@ -112,10 +112,8 @@ def when(diagnosis: Diagnosis, effect: Effect) -> str:
     for word, time_s in (('since', effect.start_s), ('until', effect.end_s)):
         if time_s is None or time_s in breaks:
             continue
-        number = int(np.searchsorted(breaks, time_s))
-        own_s = time_s - [0.0, *breaks][number]
-        of = f' of {diagnosis.names[number]}' if breaks else ''
-        date = '' if number else at_time(samples, time_s)  # later recordings may have been moved in time
+        own_s, of = own_time(samples, diagnosis.names, time_s)
+        date = at_time(samples, time_s) if own_s == time_s else ''  # later recordings may have been moved in time
         parts.append(f', {word} {own_s:.1f} s{of}{date}')
     return ''.join(parts)
 
@@ -238,7 +236,8 @@ def _likely(odds: float) -> str:
 def _gain(diagnosis: Diagnosis) -> str:
     before, after = diagnosis.before, diagnosis.after
     low, high = after.interval()
-    said = (f'On held-out data the normalised error falls from {before.nmse.mean():.4f} to {after.nmse.mean():.4f} '
+    verb = 'falls' if after.nmse.mean() < before.nmse.mean() else 'rises'
+    said = (f'On held-out data the normalised error {verb} from {before.nmse.mean():.4f} to {after.nmse.mean():.4f} '
             f'(95 % interval {low:.4f} to {high:.4f}).')
     if diagnosis.everything is diagnosis.final:
         return said

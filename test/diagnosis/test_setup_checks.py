@@ -18,7 +18,7 @@ from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.signals.differentiation import CausalDifferentiator
 from semiparam_ros.diagnosis.data.outliers import excluded, working_factor
 from semiparam_ros.diagnosis.diagnose import diagnose
-from semiparam_ros.diagnosis.preparation import Inputs, bursts, late, measured_lags
+from semiparam_ros.diagnosis.preparation import BUT_ACCELERATIONS, Inputs, bursts, late, measured_lags
 from semiparam_ros.diagnosis.setup.checks import setup_problems
 from semiparam_ros.diagnosis.setup.identifiability import unidentifiable
 from semiparam_ros.errors import SemiparamError
@@ -427,6 +427,14 @@ def test_accelerations_that_the_package_filters_itself_are_not_said_to_be_publis
     assert 'where none are published, raise acceleration.cutoff' in sentence
 
 
+def test_late_velocities_beside_recorded_accelerations_were_put_right():
+    """They are smoothed there, a little earlier: only the accelerations stay late."""
+    samples = simulated()[1]
+    velocity, acceleration = late(Inputs(BUT_ACCELERATIONS, 1, lags=(0.05, 0.05)), samples)
+    assert velocity.endswith('Here they were taken as much earlier.')
+    assert acceleration.endswith('Until then a friction or a delay found here may be off.')
+
+
 def test_the_late_velocities_of_the_real_icub_are_noted(shared_data):
     lag = float(said_to_be_late(real_icub()[1])[0].partition('The velocities come ')[2].partition(' ms')[0]) * 1e-3
     assert lag == pytest.approx(0.075, abs=0.01)
@@ -440,6 +448,14 @@ def test_one_sine_for_all_joints_is_said_to_be_one():
     assert any('The 4 joints move along 2 directions only' in note for note in unidentifiable(body, one))
     more = replace(one, position=one.position + 0.1 * np.sin(3.1 * phase))
     assert not any('directions only' in note for note in unidentifiable(body, more))
+
+
+def test_joints_that_move_less_than_others_move_by_themselves():
+    """Next to a radian and a half, 30 mm and 30 mrad counted as no direction of their own."""
+    body, samples = simulated('effort')
+    angle = samples.time[:, None] * np.array([1.0, 1.7, 2.3, 2.9])
+    own = replace(samples, position=np.sin(angle) * np.array([1.5, 1.5, 0.03, 0.03]))
+    assert not any('directions only' in note for note in unidentifiable(body, own))
 
 
 def test_efforts_that_are_zero_nine_times_in_ten_are_no_measurements():

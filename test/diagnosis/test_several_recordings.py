@@ -11,9 +11,11 @@ from semiparam_ros.cli.main import main
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.signals.smoothing import smoothed
 from semiparam_ros.diagnosis.data.outliers import excluded, gaps
-from semiparam_ros.diagnosis.data.recordings import beside_breaks, during, present, whole_groups
+from semiparam_ros.diagnosis.data.recordings import beside_breaks, during, own_time, present, whole_groups
 from semiparam_ros.diagnosis.diagnose import diagnose
-from semiparam_ros.diagnosis.text_report import text_report, when
+from semiparam_ros.diagnosis.residual.contacts import Contact
+from semiparam_ros.diagnosis.setup.identifiability import unidentifiable
+from semiparam_ros.diagnosis.text_report import _contacts, text_report, when
 from semiparam_ros.effects import effect_from_text, effect_to_text, kinds
 from semiparam_ros.effects.base import Span
 from semiparam_ros.errors import SemiparamError
@@ -87,6 +89,19 @@ def test_only_the_first_recording_has_a_date():
     first, second = (replace(load, span=Span(5.0 + start_s)) for start_s in (0.0, joined.time[joined.recordings[1]][0]))
     assert when(told, first).startswith(', since 5.0 s of late (2023-')
     assert when(told, second) == ', since 5.0 s of early'
+
+
+def test_times_count_from_the_beginning_of_their_recording():
+    """Those of touches and gaps counted through all of them, pauses included."""
+    body, samples = recorded('wrench')
+    joined = Samples.joined([samples[0], samples[1][np.r_[0:100, 140:500]]])
+    (told,) = [note for note in unidentifiable(body, joined, names=('a', 'b')) if 'gap' in note]
+    assert 'namely 2.05 s from 4.95 s of b on' in told
+    begin = joined.time[joined.recordings[1]][0]
+    assert own_time(joined, ('a', 'b'), begin) == (0.0, ' of b')
+    seen = SimpleNamespace(names=('a', 'b'), recorded=SimpleNamespace(samples=joined), contacts=[
+        Contact(begin + 3.0, begin + 3.5, {'fx': 2.0}, None)], first=SimpleNamespace(body=body))
+    assert _contacts(seen)[1] == '  3.0 to 3.5 s of b: fx +2 N.'
 
 
 @pytest.mark.parametrize('number', [0, 1, 2])

@@ -73,6 +73,12 @@ def clean():
     return diagnosed(recording(), only=('viscous_drag',))
 
 
+def test_an_error_that_rises_is_not_said_to_fall(drifting):
+    worse = replace(drifting, before=drifting.after, by_step=[drifting.before])
+    assert any('the normalised error rises from' in line for line in text_report(worse))
+    assert any('the normalised error falls from' in line for line in text_report(drifting))
+
+
 @pytest.fixture(params=['drifting', 'loaded', 'rubbing', 'clean'])
 def any_diagnosis(request):
     return request.getfixturevalue(request.param)

@@ -45,6 +45,13 @@ def breaks_s(samples: Samples) -> list[float]:
     return [(stamp - samples.origin) * 1e-9 for stamp in samples.breaks]
 
 
+def own_time(samples: Samples, names: Sequence[str], time_s: float) -> tuple[float, str]:
+    """A time [s] since the beginning of the recording that it is in, and words that name that one of several."""
+    breaks = breaks_s(samples)
+    number = int(np.searchsorted(breaks, time_s, side='right'))
+    return time_s - [0.0, *breaks][number], f' of {names[number]}' if breaks else ''
+
+
 def own_offsets(body: RigidBody, samples: Samples) -> list[Effect]:
     """The offset of a wrench in each recording after the first, whose offset belongs to the model."""
     times = breaks_s(samples)
