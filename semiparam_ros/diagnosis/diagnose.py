@@ -197,9 +197,10 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
     samples = whole_groups(samples, working_factor(samples, config))
     names = tuple(names) or tuple(str(number) for number in range(1, len(samples.recordings) + 1))
     effects = [effect.in_recording(samples.origin) for effect in effects] + own_offsets(body, samples)
+    stamped = [effect.at_stamps(samples.origin) for effect in effects]
     suspected = [problem for part in samples.recordings
-                 for problem in (setup_problems(body, alone(samples, part), config) if samples.breaks
-                                 else setup_problems(body, samples, config, touched))]
+                 for problem in (setup_problems(body, alone(samples, part), config, effects=stamped) if samples.breaks
+                                 else setup_problems(body, samples, config, touched, stamped))]
     for problem in suspected:
         if problem.what == CONSTANT:
             raise SemiparamError(problem.sentence)

@@ -13,6 +13,7 @@ from scipy.signal import lfilter
 
 from conftest import SHARED_DATA
 from semiparam_ros.bags.reader import open_bag
+from semiparam_ros.core.columns import CoupledColumns
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.signals.differentiation import CausalDifferentiator
@@ -21,6 +22,7 @@ from semiparam_ros.diagnosis.diagnose import diagnose
 from semiparam_ros.diagnosis.preparation import BUT_ACCELERATIONS, Inputs, bursts, late, measured_lags
 from semiparam_ros.diagnosis.setup.checks import setup_problems
 from semiparam_ros.diagnosis.setup.identifiability import unidentifiable
+from semiparam_ros.effects import effect_from_text
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.simulation.scenario import EffectRequest, Scenario
 from semiparam_ros.simulation.simulate import simulate
@@ -308,6 +310,22 @@ def test_the_real_recordings_as_declared_raise_no_alarm(shared_data):
     ('effort', 'transmission_ripple', 'reach'), ('effort', 'coulomb_friction', 'mixed')])
 def test_effects_of_three_times_the_usual_size_raise_no_alarm(outputs, kind, motion):
     assert setup_problems(*simulated(outputs, kind, motion, 5)) == []
+
+
+@pytest.mark.parametrize(('outputs', 'effect'), [
+    ('wrench', 'payload@r_gripper{"mass": 6.0, "first_moment_z": 0.5}'),
+    ('effort', 'payload@r_gripper{"mass": 6.0, "first_moment_z": 0.5}'),
+    ('wrench', 'sensor_misalignment{"rotation_x": 0.0, "rotation_y": 0.0, "rotation_z": 1.5}'),
+    ('effort', 'joint_offset@r_shoulder_pitch{"offset": -1.5}')])
+def test_large_effects_that_are_declared_are_no_mistakes(outputs, effect):
+    """A heavy tool was another unit, a sensor mounted at right angles other axes, though the model knew of them."""
+    body, samples = simulated(outputs)
+    known = effect_from_text(effect)
+    coupled = CoupledColumns(body, [known])
+    changed = coupled.batch(samples)[0] @ coupled.prior_mean - body.outputs_of(samples, body.base_parameters)
+    there = replace(samples, outputs=samples.outputs + changed)
+    assert setup_problems(body, there) and setup_problems(body, there, effects=[known]) == []
+    assert setup_problems(body, replace(there, outputs=-there.outputs), effects=[known])
 
 
 @pytest.mark.parametrize('outputs', ['wrench', 'effort'])
