@@ -43,11 +43,12 @@ def contacts(fit: Fit) -> list[Contact]:
         if peaks.max() < config.contact_deviations or time[end - 1] - time[start] > config.longest_contact_s:
             continue
         felt = peaks > config.contact_release
-        left = fit.residual[start:end] - middle
+        left = (fit.residual[start:end] - middle) * fit.counted[start:end]
         largest = left[np.abs(left).argmax(axis=0), np.arange(left.shape[1])]
         channels = {name: float(value) for name, value, shows in zip(
             fit.body.output_names, largest, felt, strict=True) if shows}
-        joint = fit.body.output_names[int(np.flatnonzero(felt)[-1])] if fit.body.outputs == 'effort' else None
+        last = max(np.flatnonzero(felt).tolist(), key=lambda number: int(fit.body.output_rows[number]))
+        joint = fit.body.output_names[last] if fit.body.outputs == 'effort' else None
         found.append(Contact(float(time[start]), float(time[end - 1]), channels, joint))
     total = sum(contact.end_s - contact.start_s for contact in found)
     return found if total < config.most_contact_share * (time[-1] - time[0]) else []
