@@ -216,7 +216,7 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
     structure, fast = (None, []) if setup else _left(final, samples, start)
     everything, told = _told(final, steps, samples, start, other is None)
     found = findings(final, steps, everything, told)
-    touches, notes = [] if setup else contacts(final), _notes(samples, start, found, names)
+    touches, notes = [] if setup else contacts(everything), _notes(samples, start, found, names)
     for fit in (start.first, final, everything):
         fit.forget()
     return Diagnosis(
