@@ -319,7 +319,7 @@ def _on_the_motion(steps: list[Step]) -> list[Step]:
 def _unlike(fit: Fit) -> bool:
     """Whether the model leaves too much to be believed where no inertias explain the outputs."""
     outputs = fit.samples.outputs[fit.train_mask]
-    left = np.mean(fit.squares / (len(outputs) * outputs.var(axis=0) + 1e-300))
+    left = np.mean(fit.squares / (fit.counts * outputs.var(axis=0) + 1e-300))
     return bool(left > fit.config.little)
 
 

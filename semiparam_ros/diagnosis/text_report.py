@@ -159,14 +159,20 @@ def _values(finding: Finding, most: int = MOST_PARAMETERS) -> str:
 
 def quantity_text(quantity: Quantity) -> str:
     """A value with its standard deviation and unit, to the digits that the deviation leaves."""
+    return f'{" +- ".join(filter(None, rounded(quantity)))} {quantity.unit}'.rstrip()
+
+
+def rounded(quantity: Quantity) -> tuple[str, str]:
+    """A value and its standard deviation, to the digits that the deviation leaves; the latter is empty where it was
+    searched."""
     std = quantity.std
     if not std or not math.isfinite(std):
-        return f'{quantity.value:.4g} {quantity.unit}'.rstrip()
+        return f'{quantity.value:.4g}', ''
     place = math.floor(math.log10(std)) - 1
     if -place > MOST_DECIMALS:
-        return f'{quantity.value:.{MOST_DECIMALS - 2}g} +- {std:.2g} {quantity.unit}'.rstrip()
+        return f'{quantity.value:.{MOST_DECIMALS - 2}g}', f'{std:.2g}'
     decimals = max(-place, 0)
-    return f'{round(quantity.value, -place):.{decimals}f} +- {round(std, -place):.{decimals}f} {quantity.unit}'.rstrip()
+    return f'{round(quantity.value, -place):.{decimals}f}', f'{round(std, -place):.{decimals}f}'
 
 
 class TableRow(NamedTuple):

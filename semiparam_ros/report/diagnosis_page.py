@@ -14,7 +14,7 @@ from semiparam_ros.diagnosis.findings import Finding
 from semiparam_ros.diagnosis.regression import Fit
 from semiparam_ros.diagnosis.residual.formula import Formula
 from semiparam_ros.diagnosis.residual.structure import Structure
-from semiparam_ros.diagnosis.text_report import next_step, table_rows, text_report, when
+from semiparam_ros.diagnosis.text_report import next_step, rounded, table_rows, text_report, when
 from semiparam_ros.effects import effect_to_text, kinds
 from semiparam_ros.effects.base import place
 from semiparam_ros.report import diagnosis_figures as figures
@@ -118,8 +118,8 @@ def causes(diagnosis: Diagnosis) -> list[CauseRow]:
 def _cause(diagnosis: Diagnosis, finding: Finding) -> CauseRow:
     effect = finding.effect
     since = when(diagnosis, effect).removeprefix(', ').partition(' (')[0] or 'from the beginning'
-    parameters = [ParameterRow(name, f'{quantity.value:.4g}', '' if quantity.std is None else f'{quantity.std:.2g}',
-                            quantity.unit.replace('^2', '²')) for name, quantity in finding.parameters.items()]
+    parameters = [ParameterRow(name, *rounded(quantity), quantity.unit.replace('^2', '²'))
+                  for name, quantity in finding.parameters.items()]
     alternatives = [AlternativeRow(place(rival.kind, rival.where), odds_text(rival.odds),
                                 kinds()[rival.kind].separated_by) for rival in finding.rivals]
     return CauseRow(place(effect.kind, effect.where), since, finding.log_evidence_gain, parameters,

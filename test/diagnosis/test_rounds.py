@@ -14,7 +14,7 @@ from semiparam_ros.core.robot.consistency import pseudo_inertia
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.diagnosis.data.outliers import counted_outputs, resting
-from semiparam_ros.diagnosis.diagnose import diagnose
+from semiparam_ros.diagnosis.diagnose import _unlike, diagnose
 from semiparam_ros.diagnosis.evaluation import evaluation_of
 from semiparam_ros.diagnosis.preparation import ESTIMATED, best_inputs
 from semiparam_ros.diagnosis.regression import Fit, fit_model, refitted, with_effects
@@ -96,6 +96,15 @@ def test_a_joint_that_rests_wherever_it_is_judged_is_judged_all_the_same():
     judged = evaluation_of(BODY, outputs, residual, valid, counted=counted)
     assert judged.nmse == pytest.approx(np.mean(residual[valid] ** 2, axis=0) / outputs[valid].var(axis=0))
     assert nmse(residual, outputs, valid[:, None] & counted) == pytest.approx(judged.nmse)
+
+
+def test_what_is_left_is_a_share_of_the_outputs_that_count():
+    """Where joints rest nine times in ten, a model that left all seemed to leave a tenth."""
+    samples, counted = moving(), np.arange(COUNT)[:, None] % 20 < np.array([1, 20, 20, 20])
+    fit = starting_fit(BODY, samples, [], np.ones(COUNT, dtype=bool), counted=counted)
+    deviation = samples.outputs - samples.outputs.mean(axis=0)
+    assert _unlike(replace(fit, residual=deviation * [1.0, 0.0, 0.0, 0.0]))
+    assert not _unlike(replace(fit, residual=deviation * [0.1, 0.0, 0.0, 0.0]))
 
 
 def test_a_joint_that_moves_where_it_is_judged_alone_is_fitted_all_the_same():

@@ -10,6 +10,7 @@ from matplotlib.colors import to_hex
 
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.diagnosis.diagnose import diagnose
+from semiparam_ros.diagnosis.findings import Quantity
 from semiparam_ros.diagnosis.regression import fit_model
 from semiparam_ros.diagnosis.residual.formula import Dependence, Formula, Summand
 from semiparam_ros.diagnosis.residual.structure import Structure
@@ -71,6 +72,12 @@ def rubbing():
 def clean():
     """Nothing is missing."""
     return diagnosed(recording(), only=('viscous_drag',))
+
+
+def test_values_on_the_page_have_the_digits_that_their_deviations_leave(loaded):
+    """Of 1.00463 +- 0.00002 kg the page told 1.005."""
+    precise = [replace(loaded.findings[0], parameters={'mass': Quantity(1.00463, 2e-5, 'kg')})]
+    assert causes(replace(loaded, findings=precise))[0].parameters == [('mass', '1.004630', '0.000020', 'kg')]
 
 
 def test_an_error_that_rises_is_not_said_to_fall(drifting):
