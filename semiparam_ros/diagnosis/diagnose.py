@@ -48,10 +48,11 @@ class Recorded(NamedTuple):
 
 
 class Elsewhere(NamedTuple):
-    """Another recording that judges: its name, its working samples, and which of them (N,) count."""
+    """Another recording that judges: its name, its working samples, how they were prepared, and which (N,) count."""
 
     name: str
     samples: Samples
+    inputs: Inputs
     valid: Mask
 
 
@@ -169,8 +170,8 @@ class Diagnosis:
 
     def _held_out(self) -> dict[str, object]:
         """Sample numbers of the recording that judged, half-open."""
-        mask = self.held_out if self.elsewhere is None else self.elsewhere.valid
-        parts = [[self.inputs.factor * edge for edge in part] for part in ranges(mask)]
+        inputs, mask = (self.inputs, self.held_out) if self.elsewhere is None else self.elsewhere[2:]
+        parts = [[inputs.factor * edge for edge in part] for part in ranges(mask)]
         return {'recording': self.elsewhere.name if self.elsewhere else None, 'ranges': parts}
 
 
@@ -256,7 +257,8 @@ def _first_model(body: RigidBody, samples: Samples, effects: Sequence[Effect],
     recorded, elsewhere = Recorded(samples, clean & may_fit, samples, clean & ~may_fit), None
     if other is not None:
         recorded = Recorded(samples, clean & may_fit, other[1], ~excluded(other[1], config))
-        elsewhere = Elsewhere(other[0], inputs.prepare(other[1]), inputs.mask(recorded.valid))
+        there = inputs._replace(factor=working_factor(other[1], config))
+        elsewhere = Elsewhere(other[0], there.prepare(other[1]), there, there.mask(recorded.valid))
     return _Start(calibrated(first, unvalued), inputs, clean, fitting, held_out, recorded,
                   elsewhere)
 

@@ -98,6 +98,16 @@ def test_a_joint_that_rests_wherever_it_is_judged_is_judged_all_the_same():
     assert nmse(residual, outputs, valid[:, None] & counted) == pytest.approx(judged.nmse)
 
 
+def test_a_slower_recording_that_judges_is_averaged_as_its_own_rate_asks():
+    """A mean of twelve samples at 40 Hz was over 0.3 s, and what it left was told as the error of the model."""
+    fast, slow = (replace(motion, outputs=BODY.outputs_of(motion, 1.1 * BODY.base_parameters))
+                  for motion in (smooth_motion(4, 6000, rate=500.0), smooth_motion(4, 800, rate=40.0, seed=1)))
+    found = diagnose(BODY, fast, other=('slow', slow), only=['time_delay'])
+    assert found.before.nmse.max() < 1e-6
+    ranges = found.as_dict()['held_out']['ranges']
+    assert sum(end - start for start, end in ranges) == found.elsewhere.valid.sum() > 700
+
+
 def test_what_is_left_is_a_share_of_the_outputs_that_count():
     """Where joints rest nine times in ten, a model that left all seemed to leave a tenth."""
     samples, counted = moving(), np.arange(COUNT)[:, None] % 20 < np.array([1, 20, 20, 20])
