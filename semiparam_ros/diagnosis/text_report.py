@@ -39,11 +39,11 @@ def text_report(diagnosis: Diagnosis) -> list[str]:
     lines += [f'Declared: {place(each.effect.kind, each.effect.where)}'
               f'{when(diagnosis, each.effect)} ({_values(each)}).' for each in diagnosis.declared]
     lines += [ONE_FREEDOM] if diagnosis.gain_and_mass_are_one else []
-    dropped = [place(effect.kind, effect.where)
-               for step in diagnosis.steps for effect in step.dropped]
-    if dropped:
+    held = {place(effect.kind, effect.where) for effect in diagnosis.final.effects}
+    dropped = dict.fromkeys(place(effect.kind, effect.where) for step in diagnosis.steps for effect in step.dropped)
+    if gone := [name for name in dropped if name not in held]:
         lines.append('Tried first and dropped, because the effects above explain it better: '
-                     f'{", ".join(dropped)}.')
+                     f'{", ".join(gone)}.')
     if diagnosis.findings:
         lines.append(_gain(diagnosis))
     if diagnosis.structure is not None and diagnosis.structure.significant:

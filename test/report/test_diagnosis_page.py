@@ -17,7 +17,7 @@ from semiparam_ros.diagnosis.residual.structure import Structure
 from semiparam_ros.diagnosis.search.scoring import Trial
 from semiparam_ros.diagnosis.search.stepwise import Rival, Step
 from semiparam_ros.diagnosis.text_report import next_step, table_rows, text_report
-from semiparam_ros.effects import Effect, kinds
+from semiparam_ros.effects import Effect, effect_from_text, kinds
 from semiparam_ros.effects.base import Span
 from semiparam_ros.experiments.scoreboard import body_of, samples_of
 from semiparam_ros.report import diagnosis_figures as figures
@@ -78,6 +78,13 @@ def test_values_on_the_page_have_the_digits_that_their_deviations_leave(loaded):
     """Of 1.00463 +- 0.00002 kg the page told 1.005."""
     precise = [replace(loaded.findings[0], parameters={'mass': Quantity(1.00463, 2e-5, 'kg')})]
     assert causes(replace(loaded, findings=precise))[0].parameters == [('mass', '1.004630', '0.000020', 'kg')]
+
+
+def test_what_was_found_again_is_not_said_to_be_dropped(rubbing):
+    others = [effect_from_text(text) for text in ('joint_spring@r_elbow', 'joint_spring@r_elbow')]
+    step = replace(rubbing.steps[0], dropped=(*rubbing.steps[0].added, *others))
+    (said,) = [line for line in text_report(replace(rubbing, steps=[step, *rubbing.steps[1:]])) if 'dropped' in line]
+    assert said.endswith('explain it better: joint_spring at r_elbow.')
 
 
 def test_an_error_that_rises_is_not_said_to_fall(drifting):
