@@ -93,9 +93,14 @@ class Diagnosis:
         """That of the final model."""
         return self.by_step[-1] if self.by_step else self.before
 
+    @property
+    def offsets(self) -> list[Effect]:
+        """What nobody declares, of several recordings: the offset of the wrench in each after the first."""
+        return own_offsets(self.first.body, self.recorded.samples)
+
     def lasts(self, effect: Effect) -> bool:
         """Whether an effect of the final model is still there: neither over, nor the offset of one recording."""
-        return not effect.ends and effect not in own_offsets(self.first.body, self.recorded.samples)
+        return not effect.ends and effect not in self.offsets
 
     @property
     def standing(self) -> list[Effect]:
@@ -110,10 +115,8 @@ class Diagnosis:
     @property
     def declared(self) -> list[Finding]:
         """The effects that were declared beforehand, with their fitted values."""
-        offsets = own_offsets(self.first.body, self.recorded.samples)
-        return [finding for finding in declared_findings(
-                    self.everything, self.findings, self.estimates)
-                if finding.effect not in offsets]
+        return [finding for finding in declared_findings(self.everything, self.findings, self.estimates)
+                if finding.effect not in self.offsets]
 
     @property
     def gain_and_mass_are_one(self) -> bool:

@@ -188,6 +188,7 @@ def _over_time(diagnosis: Diagnosis) -> list[Picture]:
     """Residuals over time of the recording diagnosed, and of the one that judged, if another."""
     first, final, added = diagnosis.first, diagnosis.final, bool(diagnosis.steps)
     changes = [(name + place(effect.kind, effect.where), time_s) for effect in diagnosis.everything.effects
+               if effect not in diagnosis.offsets
                for name, time_s in (('', effect.start_s), ('end of ', effect.end_s)) if time_s is not None]
     held_out = diagnosis.held_out if diagnosis.elsewhere is None else np.zeros(len(first.samples), dtype=bool)
     caption = 'What the model does not explain of each output'
@@ -262,4 +263,5 @@ def _facts(diagnosis: Diagnosis) -> list[tuple[str, str]]:
             ('Judged on', f'{judged}. Nothing of it was used to find, to fit or to rank.'),
             ('Joint motion', f'{diagnosis.inputs.motion}; of the recorded and the smoothed motion, the one with which '
                              'the declared model predicted unseen blocks best.'),
-            ('Declared before', ', '.join(map(effect_to_text, diagnosis.first.effects)) or 'no effects')]
+            ('Declared before', ', '.join(effect_to_text(effect) for effect in diagnosis.first.effects
+                                          if effect not in diagnosis.offsets) or 'no effects')]

@@ -20,6 +20,7 @@ from semiparam_ros.effects import effect_from_text, effect_to_text, kinds
 from semiparam_ros.effects.base import Span
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.experiments.scoreboard import body_of, samples_of
+from semiparam_ros.report.diagnosis_page import diagnosis_page
 from semiparam_ros.simulation.scenario import Scenario
 from semiparam_ros.simulation.simulate import simulate
 from support.recordings import write_arm
@@ -55,6 +56,15 @@ def test_a_load_in_some_of_the_recordings_is_found_there(outputs, loaded):
     assert found.as_dict()['effects'][0]['recordings'] == list(there)
     assert any(f', in {" and ".join(there)} (' in line for line in text_report(found))
     assert [found.lasts(effect) for effect in found.final.effects if effect.kind == 'payload'] == [2 in loaded]
+
+
+def test_the_page_of_several_recordings_holds_their_offsets_for_no_effects():
+    """It said that they had been declared, and marked the beginning of each recording as theirs."""
+    body, samples = recorded('wrench')
+    found = diagnose(body, Samples.joined(samples[:2]), only=['viscous_drag'], names=('a', 'b'))
+    assert len(found.offsets) == 1 and list(found.first.effects) == found.offsets
+    text = diagnosis_page(found, {}, 'a, b')
+    assert 'sensor_offset' not in text and '<dd>no effects</dd>' in text
 
 
 def test_recordings_are_joined_without_touching_one_another():
