@@ -104,8 +104,9 @@ def _contacts(diagnosis: Diagnosis) -> list[str]:
     return [f'The arm seems to have been touched {count}; record without that, or leave these stretches out:', *lines]
 
 
-def when(diagnosis: Diagnosis, effect: Effect) -> str:
-    """From when to when, or in which recordings, an effect is there; empty when it always was."""
+def when(diagnosis: Diagnosis, effect: Effect, dated: bool = True) -> str:
+    """From when to when, with dates or without, or in which recordings, an effect is there; empty when it always was.
+    """
     names, samples = diagnosis.recordings_of(effect), diagnosis.recorded.samples
     parts = [f', in {listed(names)}'] if names and len(names) < len(diagnosis.names) else []
     breaks = breaks_s(samples)
@@ -113,7 +114,8 @@ def when(diagnosis: Diagnosis, effect: Effect) -> str:
         if time_s is None or time_s in breaks:
             continue
         own_s, of = own_time(samples, diagnosis.names, time_s)
-        date = at_time(samples, time_s) if own_s == time_s else ''  # later recordings may have been moved in time
+        first = dated and own_s == time_s  # later recordings may have been moved in time
+        date = at_time(samples, time_s) if first else ''
         parts.append(f', {word} {own_s:.1f} s{of}{date}')
     return ''.join(parts)
 
@@ -193,7 +195,7 @@ def table_rows(diagnosis: Diagnosis) -> list[TableRow]:
         return (order.index(where) if where in order else len(order), where or '')
 
     return [TableRow(finding.effect.where or 'all', finding.effect.kind, _values(finding, MOST_IN_ROW),
-                     when(diagnosis, finding.effect).removeprefix(', ').partition(' (')[0])
+                     when(diagnosis, finding.effect, dated=False).removeprefix(', '))
             for finding in sorted(diagnosis.findings, key=number)]
 
 

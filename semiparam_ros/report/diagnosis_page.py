@@ -117,7 +117,7 @@ def causes(diagnosis: Diagnosis) -> list[CauseRow]:
 
 def _cause(diagnosis: Diagnosis, finding: Finding) -> CauseRow:
     effect = finding.effect
-    since = when(diagnosis, effect).removeprefix(', ').partition(' (')[0] or 'from the beginning'
+    since = when(diagnosis, effect, dated=False).removeprefix(', ') or 'from the beginning'
     parameters = [ParameterRow(name, *rounded(quantity), quantity.unit.replace('^2', '²'))
                   for name, quantity in finding.parameters.items()]
     alternatives = [AlternativeRow(place(rival.kind, rival.where), odds_text(rival.odds),

@@ -99,6 +99,8 @@ def test_only_the_first_recording_has_a_date():
     first, second = (replace(load, span=Span(5.0 + start_s)) for start_s in (0.0, joined.time[joined.recordings[1]][0]))
     assert when(told, first).startswith(', since 5.0 s of late (2023-')
     assert when(told, second) == ', since 5.0 s of early'
+    told.names = ('run (1)', 'early')
+    assert when(told, first, dated=False) == ', since 5.0 s of run (1)'
 
 
 def test_times_count_from_the_beginning_of_their_recording():
