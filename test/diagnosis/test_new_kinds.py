@@ -162,6 +162,16 @@ def test_the_link_that_was_touched_is_that_of_the_arm_whatever_the_order_of_the_
     assert [contact.joint for contact in contacts(fit)] == ['a_elbow']
 
 
+@pytest.mark.parametrize('pause_s', [0, 3600])
+def test_what_bursts_nearly_half_the_time_is_no_touch(pause_s):
+    """The time between two recordings, or stretches of a long one, counted as time without touches."""
+    _, body, samples = recorded('effort')
+    stamps = samples.stamps + (np.arange(800) >= 400) * pause_s * 10**9
+    bursts = (np.arange(800) % 100 < 45)[:, None] * 100.0 * samples.outputs.std(axis=0)
+    fit = starting_fit(body, replace(samples, stamps=stamps), [], np.ones(800, dtype=bool))
+    assert contacts(replace(fit, residual=fit.residual + bursts)) == []
+
+
 def test_touches_are_named_with_their_times_and_the_link():
     _, body, samples = recorded('effort')
     touched, time = samples.outputs.copy(), samples.time
