@@ -132,10 +132,10 @@ class Diagnosis:
     @property
     def noise_floor_rmse(self) -> Array:
         """(n,) standard deviation of what no model can predict, from the final residual of the held-out samples."""
-        parts = [self.after.residual[start:end] for start, end in self.after.parts if end - start > 3]
-        floors = np.array([noise_floor(part) for part in parts])
-        weights = np.array([len(part) for part in parts], dtype=float)
-        return np.asarray(np.sqrt((floors**2 * (weights / weights.sum())[:, None]).sum(axis=0)))
+        parts = [slice(start, end) for start, end in self.after.parts if end - start > 3]
+        floors = np.array([noise_floor(self.after.residual[part], self.after.counted[part]) for part in parts])
+        weights = np.array([self.after.counted[part].sum(axis=0) for part in parts]) * (floors > 0.0)
+        return np.asarray(np.sqrt((floors**2 * weights).sum(axis=0) / np.maximum(weights.sum(axis=0), 1)))
 
     @property
     def unexplained_outputs(self) -> dict[str, tuple[float, float]]:

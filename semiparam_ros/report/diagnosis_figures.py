@@ -209,14 +209,15 @@ def limits(*residuals: Array) -> tuple[float, float]:
 def spectra(diagnosis: Diagnosis) -> Figure:
     """Power of the residual over that of its white noise, before and after, mean over outputs of a kind."""
     fit = diagnosis.final
-    floor, groups = noise_floor(fit.residual[fit.train_mask]), GROUPS[fit.body.outputs]
+    floor = noise_floor(fit.residual[fit.train_mask], fit.counted[fit.train_mask])
+    groups, telling = GROUPS[fit.body.outputs], fit.counted / np.sqrt(fit.counted.mean(axis=0))
     step = float(np.median(np.diff(fit.samples.time)))
     with page_style():
         figure = Figure(figsize=(WIDTH, 2.8))
         panels = np.atleast_1d(figure.subplots(1, len(groups), sharey=True))
         for panel, (title, channels) in zip(panels, groups.items(), strict=True):
             for curve in curves(diagnosis.first.residual, fit.residual, bool(diagnosis.steps)):
-                frequency, power = relative_power(curve.residual, step, floor)
+                frequency, power = relative_power(curve.residual * telling, step, floor)
                 panel.plot(frequency, power[:, channels].mean(axis=1), color=curve.colour, label=curve.name)
             panel.axhline(1.0, color=INK, linewidth=0.9, linestyle=(0, (2, 2)), label='white noise')
             panel.set(yscale='log', xscale='log', xlabel='frequency [Hz]')

@@ -651,7 +651,15 @@ def test_the_noise_floor_sees_white_noise_beside_slow_variation():
     rng, time = np.random.default_rng(2), np.arange(20_000)
     slow = 40.0 * np.sin(0.02 * time)
     values = np.column_stack([3.0 * rng.standard_normal(20_000), 3.0 * rng.standard_normal(20_000) + slow])
-    assert noise_floor(values) == pytest.approx([3.0, 3.0], rel=0.03)
+    assert noise_floor(values, np.ones(values.shape, dtype=bool)) == pytest.approx([3.0, 3.0], rel=0.03)
+
+
+def test_the_noise_floor_is_of_outputs_that_count():
+    """Efforts jump where joints come to rest: the noise was told up to five times as large as it is."""
+    rng, moving = np.random.default_rng(3), np.arange(20_000)[:, None] % 80 < np.array([40, 80])
+    values = np.where(moving, 0.0, 2.0) + 0.1 * rng.standard_normal(moving.shape)
+    assert noise_floor(values, moving) == pytest.approx([0.1, 0.1], rel=0.03)
+    assert noise_floor(values, np.ones(moving.shape, dtype=bool))[0] > 0.2
 
 
 def test_correlation_times_are_those_of_an_autoregression():

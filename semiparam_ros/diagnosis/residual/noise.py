@@ -35,13 +35,16 @@ WHITENING = 1e-9
 RANK = 1e-7
 
 
-def noise_floor(residual: Array) -> Array:
+def noise_floor(residual: Array, counted: Mask) -> Array:
     """(n,) standard deviation of what changes from sample to sample without any pattern.
 
     Third differences cancel whatever varies slowly and keep white noise with a gain of sqrt(20) (von Neumann 1941).
+
+    :param counted: (M, n) outputs that tell something: where a joint comes to rest its effort jumps.
     """
-    differences = np.diff(residual, 3, axis=0)
-    return np.asarray(np.sqrt(np.mean(differences**2, axis=0) / 20.0))
+    whole = np.lib.stride_tricks.sliding_window_view(counted, 4, axis=0).all(axis=-1)
+    squares = np.diff(residual, 3, axis=0) ** 2 * whole
+    return np.asarray(np.sqrt(squares.sum(axis=0) / np.maximum(whole.sum(axis=0), 1) / 20.0))
 
 
 def coloured_noise(residual: Array, count: int, seed: int = 0, config: DiagnosisConfig = DEFAULTS) -> Array:
