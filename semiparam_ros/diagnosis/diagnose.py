@@ -366,7 +366,8 @@ def _notes(samples: Samples, start: _Start, found: list[Finding], names: Sequenc
     stamps = bursts(samples, config) or late(start.inputs, samples, filter_declared)
     count, left_out = int((~start.clean).sum()), list[str]()
     if count:
-        left_out = [f'{count} of {len(samples)} samples next to gaps and shocks are left out.']
+        left_out = [f'{count} of {len(samples)} samples are left out: next to gaps, shocks and breaks, or while the '
+                    'robot was known to be touched.']
     return [*stamps, *unidentifiable(start.first.body, samples, config, names), *left_out,
             *_changed_in_gaps(found, samples, names, config)]
 

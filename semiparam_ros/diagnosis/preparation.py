@@ -178,6 +178,12 @@ def prepared(body: RigidBody, samples: Samples, effects: Sequence[Effect], may_f
     return inputs, chosen, inputs.mask(clean) & counted.any(axis=1), counted
 
 
+def of_one_rate(recordings: Sequence[Samples], config: DiagnosisConfig = DEFAULTS) -> list[Samples]:
+    """The recordings, those that are faster averaged down to about the rate of the slowest."""
+    factors = [working_factor(samples, config) for samples in recordings]
+    return [averaged(samples, factor // min(factors)) for samples, factor in zip(recordings, factors, strict=True)]
+
+
 def with_usual(body: RigidBody, samples: Samples, effects: Sequence[Effect]) -> list[Effect]:
     """The effects beside those of motion alone that all joints have, as friction: without them the noise of a motion
     hardly shows in the outputs."""

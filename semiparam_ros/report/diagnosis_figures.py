@@ -20,6 +20,7 @@ from scipy.signal import welch
 from semiparam_ros.core.robot.frames import frame_motion
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.types import Array, Mask
+from semiparam_ros.diagnosis.data.recordings import without_pauses
 from semiparam_ros.diagnosis.data.splits import ranges
 from semiparam_ros.diagnosis.diagnose import Diagnosis
 from semiparam_ros.diagnosis.findings import Finding
@@ -84,7 +85,7 @@ def dependence(variable: Array, explained: Array) -> float:
 
 
 def _time(fit: Fit) -> Variable:
-    return Variable('time [s]', fit.samples.time)
+    return Variable('time [s]', without_pauses(fit.samples))
 
 
 def _joints(effect: Effect, fit: Fit, role: str) -> list[Variable]:

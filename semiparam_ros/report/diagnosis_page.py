@@ -9,6 +9,7 @@ import numpy as np
 
 from semiparam_ros import __version__
 from semiparam_ros.core.types import Array
+from semiparam_ros.diagnosis.data.recordings import without_pauses
 from semiparam_ros.diagnosis.diagnose import Diagnosis, Elsewhere
 from semiparam_ros.diagnosis.findings import Finding
 from semiparam_ros.diagnosis.regression import Fit
@@ -195,8 +196,11 @@ def _over_time(diagnosis: Diagnosis) -> list[Picture]:
     caption += ', before and after the effects were added.' if added else '.'
     caption += ' The shaded blocks were not used for the fit.' if held_out.any() else ''
     caption += ' A dashed line marks the start or the end of an effect.' if changes else ''
-    own = figures.over_time(first.samples.time, figures.curves(first.residual, final.residual, added),
-                            _labels(diagnosis), held_out, changes)
+    caption += ' The recordings follow one another without their pauses.' if first.samples.breaks else ''
+    time = without_pauses(first.samples)
+    marks = [(name, float(np.interp(time_s, first.samples.time, time))) for name, time_s in changes]
+    own = figures.over_time(time, figures.curves(first.residual, final.residual, added), _labels(diagnosis), held_out,
+                            marks)
     shown = [picture('Residual over time', 'time', own, caption)]
     if diagnosis.elsewhere is not None:
         shown.append(_over_time_elsewhere(diagnosis, diagnosis.elsewhere))

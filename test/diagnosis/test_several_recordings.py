@@ -10,9 +10,17 @@ import pytest
 from semiparam_ros.cli.main import main
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.signals.smoothing import smoothed
-from semiparam_ros.diagnosis.data.outliers import excluded, gaps
-from semiparam_ros.diagnosis.data.recordings import beside_breaks, during, own_time, present, whole_groups
+from semiparam_ros.diagnosis.data.outliers import excluded, gaps, working_factor
+from semiparam_ros.diagnosis.data.recordings import (
+    beside_breaks,
+    during,
+    own_time,
+    present,
+    whole_groups,
+    without_pauses,
+)
 from semiparam_ros.diagnosis.diagnose import diagnose
+from semiparam_ros.diagnosis.preparation import of_one_rate
 from semiparam_ros.diagnosis.residual.contacts import Contact
 from semiparam_ros.diagnosis.setup.identifiability import unidentifiable
 from semiparam_ros.diagnosis.text_report import _contacts, text_report, when
@@ -23,6 +31,7 @@ from semiparam_ros.experiments.scoreboard import body_of, samples_of
 from semiparam_ros.report.diagnosis_page import diagnosis_page
 from semiparam_ros.simulation.scenario import Scenario
 from semiparam_ros.simulation.simulate import simulate
+from support.arms import smooth_motion
 from support.recordings import write_arm
 
 LOAD = np.array([0.15, 0.0, 0.01, 0.01, 3e-3, 0.0, 2e-3, 0.0, 0.0, 2e-3])
@@ -65,6 +74,27 @@ def test_the_page_of_several_recordings_holds_their_offsets_for_no_effects():
     assert len(found.offsets) == 1 and list(found.first.effects) == found.offsets
     text = diagnosis_page(found, {}, 'a, b')
     assert 'sensor_offset' not in text and '<dd>no effects</dd>' in text
+
+
+def test_recordings_of_different_rates_are_joined_at_about_the_slowest():
+    """The slower one was averaged by as many samples as the faster one asks: over 0.3 s of 40 Hz beside 500 Hz."""
+    fast, slow = smooth_motion(4, 6000, rate=500.0), smooth_motion(4, 480, rate=40.0, seed=1)
+    again, same = of_one_rate([fast, slow])
+    assert same is slow and len(again) == 500 and np.median(np.diff(again.time)) == pytest.approx(0.024)
+    assert working_factor(Samples.joined([again, same])) == 1
+    assert [one is other for one, other in zip(of_one_rate([fast, fast]), [fast, fast], strict=True)] == [True, True]
+
+
+def test_the_page_shows_recordings_hours_apart():
+    """Each was a line of ink at the edge of an empty picture."""
+    _, samples = recorded('wrench')
+    later = samples[1].stamps + 5 * 3600 * 10**9
+    joined = Samples.joined([samples[0], replace(samples[1], stamps=later, origin=int(later[0]))])
+    time, second = without_pauses(joined), joined.recordings[1]
+    assert joined.time[-1] > 17000.0 and np.all(np.diff(time) > 0.0)
+    assert time[second.start] == pytest.approx(joined.time[second.start - 1] + 1.0)
+    np.testing.assert_allclose(np.diff(time[second]), np.diff(joined.time[second]), atol=1e-6)
+    assert without_pauses(samples[0]) == pytest.approx(samples[0].time)
 
 
 def test_recordings_are_joined_without_touching_one_another():

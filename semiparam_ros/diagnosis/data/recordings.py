@@ -9,7 +9,7 @@ import numpy as np
 
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
-from semiparam_ros.core.types import Mask
+from semiparam_ros.core.types import Array, Mask
 from semiparam_ros.effects import Effect, kinds
 from semiparam_ros.effects.base import Span
 
@@ -50,6 +50,13 @@ def own_time(samples: Samples, names: Sequence[str], time_s: float) -> tuple[flo
     breaks = breaks_s(samples)
     number = int(np.searchsorted(breaks, time_s, side='right'))
     return time_s - [0.0, *breaks][number], f' of {names[number]}' if breaks else ''
+
+
+def without_pauses(samples: Samples) -> Array:
+    """(N,) [s] times as if each recording began a second after the one before it."""
+    steps = np.diff(samples.time, prepend=samples.time[0])
+    steps[[part.start for part in samples.recordings[1:]]] = 1.0
+    return np.asarray(samples.time[0] + np.cumsum(steps)) if samples.breaks else samples.time
 
 
 def own_offsets(body: RigidBody, samples: Samples) -> list[Effect]:
