@@ -150,6 +150,14 @@ class Diagnosis:
         return {names[k]: (float(left[k]), float(noise[k])) for k in np.flatnonzero(most)}
 
     @property
+    def shifted_outputs(self) -> list[str]:
+        """Outputs of a wrench of which most of what is left on another recording is constant: another offset there."""
+        if self.elsewhere is None or self.first.body.outputs == 'effort':
+            return []
+        constant = self.after.residual.mean(axis=0) ** 2 > self.config.most * self.after.rmse**2
+        return [self.first.body.output_names[k] for k in np.flatnonzero(constant)]
+
+    @property
     def on_all_samples(self) -> Evaluation:
         """What the model that is told and declared leaves of the samples that fitted it."""
         return evaluate_here(self.everything, self.everything.train_mask)

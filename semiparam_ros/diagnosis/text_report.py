@@ -65,9 +65,11 @@ def summary(diagnosis: Diagnosis) -> list[str]:
 def _verdict(diagnosis: Diagnosis) -> list[str]:
     """What is wrong with the set-up, else whether anything is missing, and outputs that stay a
     riddle, whatever was found elsewhere."""
+    shifted = 'The offset of its sensor is another one there: diagnose both recordings as one, each with its own.'
     riddles = [f'{name} is not explained: {100 * left:.0f} % of its variance is left, of which '
-               f'noise is {100 * noise:.0f} %. Look at its sign, its unit, its place in the '
-               'message, or for contact.'
+               f'noise is {100 * noise:.0f} %. ' + (shifted if name in diagnosis.shifted_outputs else
+                                                     'Look at its sign, its unit, its place in the message, or for '
+                                                     'contact.')
                for name, (left, noise) in diagnosis.unexplained_outputs.items()]
     return [problem.sentence for problem in diagnosis.setup] or [_opening(diagnosis), *riddles]
 

@@ -85,6 +85,15 @@ def test_recordings_of_different_rates_are_joined_at_about_the_slowest():
     assert [one is other for one, other in zip(of_one_rate([fast, fast]), [fast, fast], strict=True)] == [True, True]
 
 
+def test_another_offset_on_the_recording_that_judges_is_said_to_be_one():
+    """The advice was to look at the output's sign, its unit, or for contact."""
+    body, (one, two, _) = recorded('wrench')
+    moved = replace(two, outputs=two.outputs + 3.0 * two.outputs.std(axis=0) * np.eye(6)[1])
+    found = diagnose(body, one, other=('tared anew', moved), only=['viscous_drag'])
+    assert found.shifted_outputs == list(found.unexplained_outputs) == ['fy']
+    assert any('The offset of its sensor is another one there' in line for line in text_report(found))
+
+
 def test_the_page_shows_recordings_hours_apart():
     """Each was a line of ink at the edge of an empty picture."""
     _, samples = recorded('wrench')
