@@ -209,13 +209,7 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
     samples = whole_groups(samples, working_factor(samples, config))
     names = tuple(names) or tuple(str(number) for number in range(1, len(samples.recordings) + 1))
     effects = [effect.in_recording(samples.origin) for effect in effects] + own_offsets(body, samples)
-    stamped = [effect.at_stamps(samples.origin) for effect in effects]
-    suspected = [problem for part in samples.recordings
-                 for problem in (setup_problems(body, alone(samples, part), config, effects=stamped) if samples.breaks
-                                 else setup_problems(body, samples, config, touched, stamped))]
-    for problem in suspected:
-        if problem.what == CONSTANT:
-            raise SemiparamError(problem.sentence)
+    suspected = _suspected(body, samples, effects, config, touched)
     try:
         start = _first_model(body, samples, effects, train_mask, other, config, touched)
     except SemiparamError as error:
@@ -237,6 +231,18 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
         held_out=start.held_out, before=before, by_step=by_step, inputs=start.inputs, structure=structure, setup=setup,
         notes=[*fast, *notes], recorded=start.recorded, elsewhere=start.elsewhere, names=names,
         contacts=touches)
+
+
+def _suspected(body: RigidBody, samples: Samples, effects: Sequence[Effect], config: DiagnosisConfig,
+               touched: Sequence[tuple[float, float]]) -> list[SetupProblem]:
+    """What seems wrong with the set-up of each recording; outputs that never change raise SemiparamError."""
+    stamped = [effect.at_stamps(samples.origin) for effect in effects]
+    parts = [(alone(samples, part), ()) for part in samples.recordings] if samples.breaks else [(samples, touched)]
+    found = [problem for part, contact in parts for problem in setup_problems(body, part, config, contact, stamped)]
+    for problem in found:
+        if problem.what == CONSTANT:
+            raise SemiparamError(problem.sentence)
+    return found
 
 
 class _Start(NamedTuple):
