@@ -48,8 +48,6 @@ OUTPUT_UNITS = {1.0 / 9.81: 'kilograms-force', 9.81: 'newtons taken for kilogram
 ACCELERATIONS = (
     (-1.0, 'acceleration_sign', 'has the opposite sign of its change of velocity: negate it'),
     (DEGREE, 'acceleration_units', 'is in degrees per second squared: publish it in rad/s^2'))
-AT_ONCE = 10_000
-"""Samples of which all columns are held at once."""
 NO_MATCH, CONSTANT = 'robot_description', 'outputs_constant'
 
 
@@ -80,7 +78,7 @@ def setup_problems(body: RigidBody, samples: Samples, config: DiagnosisConfig = 
     missing = _constant(body, samples) or _mostly_zero(body, samples, config)
     if missing:
         return missing
-    usable, samples = untouched(samples, touched, config), _without_declared(body, samples, effects)
+    usable, samples = untouched(samples, touched, config), _without_declared(body, samples, effects, config)
     found, right = motion_problems(body, samples, usable, config)
     if any(problem.what == 'clock' for problem in found):
         return found
@@ -92,14 +90,15 @@ def setup_problems(body: RigidBody, samples: Samples, config: DiagnosisConfig = 
     return found + (_confirmed(body, usable, right, layout, config) if layout else [])
 
 
-def _without_declared(body: RigidBody, samples: Samples, effects: Sequence[Effect]) -> Samples:
+def _without_declared(body: RigidBody, samples: Samples, effects: Sequence[Effect],
+                      config: DiagnosisConfig) -> Samples:
     """The samples with outputs less what declared values change about those of the described robot."""
     coupled, changes = CoupledColumns(body, effects), list[Array]()
     if coupled.only_add and not coupled.known.any():
         return samples
     memory: Memories = None
-    for start in range(0, len(samples), AT_ONCE):
-        part = samples[start:start + AT_ONCE]
+    for start in range(0, len(samples), config.most_working_samples):  # all columns of more take too much room
+        part = samples[start:start + config.most_working_samples]
         columns, memory = coupled.batch(part, memory)
         changes.append(columns @ coupled.prior_mean - body.outputs_of(part, body.base_parameters))
     return replace(samples, outputs=samples.outputs - np.concatenate(changes))
