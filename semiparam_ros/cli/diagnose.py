@@ -98,7 +98,7 @@ def diagnose_bag(args: argparse.Namespace, settings: Settings) -> Diagnosis:
     from semiparam_ros.diagnosis.data.recordings import whole_groups
     from semiparam_ros.diagnosis.data.splits import leading_split
     from semiparam_ros.diagnosis.diagnose import diagnose
-    from semiparam_ros.diagnosis.preparation import most_samples
+    from semiparam_ros.diagnosis.preparation import most_samples, of_one_rate
     from semiparam_ros.settings.build import build_rigid_body, declared_effects
 
     if args.split is not None and not 0.2 <= args.split <= 0.9:
@@ -119,7 +119,7 @@ def diagnose_bag(args: argparse.Namespace, settings: Settings) -> Diagnosis:
     body = build_rigid_body(settings, bags[0].robot_description)
     recordings, judging = ([whole_groups(bag.samples, working_factor(bag.samples), bag.stretches) for bag in some]
                            for some in (bags, judges))
-    samples = recordings[0] if len(recordings) == 1 else Samples.joined(recordings)
+    samples = recordings[0] if len(recordings) == 1 else Samples.joined(of_one_rate(recordings))
     other = (str(args.judge), judging[0]) if judging else None
     train_mask = None if args.split is None else leading_split(len(samples), args.split)
     effects = [*declared_effects(settings), *declared_inside(args, samples)]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -16,6 +16,7 @@ from semiparam_ros.errors import SemiparamError
 if TYPE_CHECKING:
     from semiparam_ros.core.robot.rigid_body import RigidBody
     from semiparam_ros.core.samples import Samples
+    from semiparam_ros.effects import Effect
     from semiparam_ros.export.estimate import Estimate
     from semiparam_ros.export.identified import Identified
     from semiparam_ros.settings import Settings
@@ -123,7 +124,7 @@ def _of_state(args: argparse.Namespace, settings: Settings) -> Estimate:
     changes = AppliedEffects(body)
     changes.restore(saved.applied)
     samples = saved.batch.samples
-    _require_right_setup(args, body, samples)
+    _require_right_setup(args, body, samples, declared_effects(saved.settings))
     if args.kept_samples and samples is not None:
         texts = *saved.settings.effects, *(f'payload@{link}' for link in args.load)
         effects = declared_effects(replace(saved.settings, effects=texts))
@@ -142,14 +143,15 @@ def _of_recording(args: argparse.Namespace, settings: Settings) -> tuple[Estimat
 
     bag = load_bags([args.source], settings, lambda rate: MOST_SAMPLES)[0]
     body = build_rigid_body(settings, bag.robot_description)
-    _require_right_setup(args, body, bag.samples)
-    estimate = from_recording(body, declared_effects(settings), bag.samples,
+    effects = declared_effects(settings)
+    _require_right_setup(args, body, bag.samples, effects)
+    estimate = from_recording(body, effects, bag.samples,
                               settings.joint_friction, args.keep_inertias, str(args.source))
     return estimate, robot_description(settings, bag.robot_description)
 
 
-def _require_right_setup(args: argparse.Namespace, body: RigidBody,
-                         samples: Samples | None) -> None:
+def _require_right_setup(args: argparse.Namespace, body: RigidBody, samples: Samples | None,
+                         effects: Sequence[Effect]) -> None:
     """Refuse files that this robot cannot fill, and samples of which a diagnosis would say that a
     sign, a unit, an order or a clock is wrong: bodies that explain them are no robot's."""
     from semiparam_ros.diagnosis.setup.checks import NO_MATCH, setup_problems
@@ -157,7 +159,7 @@ def _require_right_setup(args: argparse.Namespace, body: RigidBody,
 
     for form in filter(partial(_path, args), FORMS):
         require_possible(form, body)
-    for problem in setup_problems(body, samples) if samples else ():
+    for problem in setup_problems(body, samples, effects=effects) if samples else ():
         if problem.what != NO_MATCH:
             raise SemiparamError(f'{args.source}: {problem.sentence}')
 

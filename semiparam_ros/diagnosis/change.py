@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from semiparam_ros.core.robot.frames import loaded_links
+from semiparam_ros.core.robot.frames import last_links
 from semiparam_ros.core.robot.joint_friction import TURN_SPEEDS
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
@@ -227,10 +227,9 @@ def _candidates(fit: Fit) -> list[Effect]:
 
 
 def _places(kind: type[Effect], body: RigidBody) -> Sequence[str | None]:
-    """Where an effect may begin; at links the last one alone."""
+    """Where an effect may begin; at links the last one of each branch alone."""
     places = kind.permitted(body) if kind.may_come else kind.places(body)
-    link = list(loaded_links(body))[-1]
-    return [link] if link in places else places
+    return [link for link in last_links(body) if link in places] or places
 
 
 def _tried(fit: Fit, effect: Effect, since_s: tuple[float, float],

@@ -286,9 +286,6 @@ class DiagnosisConfig:
     change_after_s: float = 2.0
     """Searches it so long after (chosen)."""
 
-    # --- verdict ---
-
-
 
 DEFAULTS = DiagnosisConfig()
 """The values that every figure in the documentation was measured with."""

@@ -13,7 +13,7 @@ from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array, Mask
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
 from semiparam_ros.diagnosis.data.outliers import excluded, gaps, margin, untouched, working_factor
-from semiparam_ros.diagnosis.data.recordings import alone, beside_breaks, own_offsets, present, whole_groups
+from semiparam_ros.diagnosis.data.recordings import alone, beside_breaks, own_offsets, own_time, present, whole_groups
 from semiparam_ros.diagnosis.data.splits import interleaved_split, ranges
 from semiparam_ros.diagnosis.evaluation import Evaluation, evaluate_here, evaluate_there
 from semiparam_ros.diagnosis.findings import Finding, declared_findings, findings, places_in
@@ -48,10 +48,11 @@ class Recorded(NamedTuple):
 
 
 class Elsewhere(NamedTuple):
-    """Another recording that judges: its name, its working samples, and which of them (N,) count."""
+    """Another recording that judges: its name, its working samples, how they were prepared, and which (N,) count."""
 
     name: str
     samples: Samples
+    inputs: Inputs
     valid: Mask
 
 
@@ -92,9 +93,14 @@ class Diagnosis:
         """That of the final model."""
         return self.by_step[-1] if self.by_step else self.before
 
+    @property
+    def offsets(self) -> list[Effect]:
+        """What nobody declares, of several recordings: the offset of the wrench in each after the first."""
+        return own_offsets(self.first.body, self.recorded.samples)
+
     def lasts(self, effect: Effect) -> bool:
         """Whether an effect of the final model is still there: neither over, nor the offset of one recording."""
-        return not effect.ends and effect not in own_offsets(self.first.body, self.recorded.samples)
+        return not effect.ends and effect not in self.offsets
 
     @property
     def standing(self) -> list[Effect]:
@@ -109,10 +115,8 @@ class Diagnosis:
     @property
     def declared(self) -> list[Finding]:
         """The effects that were declared beforehand, with their fitted values."""
-        offsets = own_offsets(self.first.body, self.recorded.samples)
-        return [finding for finding in declared_findings(
-                    self.everything, self.findings, self.estimates)
-                if finding.effect not in offsets]
+        return [finding for finding in declared_findings(self.everything, self.findings, self.estimates)
+                if finding.effect not in self.offsets]
 
     @property
     def gain_and_mass_are_one(self) -> bool:
@@ -128,10 +132,10 @@ class Diagnosis:
     @property
     def noise_floor_rmse(self) -> Array:
         """(n,) standard deviation of what no model can predict, from the final residual of the held-out samples."""
-        parts = [self.after.residual[start:end] for start, end in self.after.parts if end - start > 3]
-        floors = np.array([noise_floor(part) for part in parts])
-        weights = np.array([len(part) for part in parts], dtype=float)
-        return np.asarray(np.sqrt((floors**2 * (weights / weights.sum())[:, None]).sum(axis=0)))
+        parts = [slice(start, end) for start, end in self.after.parts if end - start > 3]
+        floors = np.array([noise_floor(self.after.residual[part], self.after.counted[part]) for part in parts])
+        weights = np.array([self.after.counted[part].sum(axis=0) for part in parts]) * (floors > 0.0)
+        return np.asarray(np.sqrt((floors**2 * weights).sum(axis=0) / np.maximum(weights.sum(axis=0), 1)))
 
     @property
     def unexplained_outputs(self) -> dict[str, tuple[float, float]]:
@@ -144,6 +148,14 @@ class Diagnosis:
         most = (left > self.config.most) & (noise < self.config.most * left)
         names = self.first.body.output_names
         return {names[k]: (float(left[k]), float(noise[k])) for k in np.flatnonzero(most)}
+
+    @property
+    def shifted_outputs(self) -> list[str]:
+        """Outputs of a wrench of which most of what is left on another recording is constant: another offset there."""
+        if self.elsewhere is None or self.first.body.outputs == 'effort':
+            return []
+        constant = self.after.residual.mean(axis=0) ** 2 > self.config.most * self.after.rmse**2
+        return [self.first.body.output_names[k] for k in np.flatnonzero(constant)]
 
     @property
     def on_all_samples(self) -> Evaluation:
@@ -169,8 +181,8 @@ class Diagnosis:
 
     def _held_out(self) -> dict[str, object]:
         """Sample numbers of the recording that judged, half-open."""
-        mask = self.held_out if self.elsewhere is None else self.elsewhere.valid
-        parts = [[self.inputs.factor * edge for edge in part] for part in ranges(mask)]
+        inputs, mask = (self.inputs, self.held_out) if self.elsewhere is None else self.elsewhere[2:]
+        parts = [[inputs.factor * edge for edge in part] for part in ranges(mask)]
         return {'recording': self.elsewhere.name if self.elsewhere else None, 'ranges': parts}
 
 
@@ -197,12 +209,7 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
     samples = whole_groups(samples, working_factor(samples, config))
     names = tuple(names) or tuple(str(number) for number in range(1, len(samples.recordings) + 1))
     effects = [effect.in_recording(samples.origin) for effect in effects] + own_offsets(body, samples)
-    suspected = [problem for part in samples.recordings
-                 for problem in (setup_problems(body, alone(samples, part), config) if samples.breaks
-                                 else setup_problems(body, samples, config, touched))]
-    for problem in suspected:
-        if problem.what == CONSTANT:
-            raise SemiparamError(problem.sentence)
+    suspected = _suspected(body, samples, effects, config, touched)
     try:
         start = _first_model(body, samples, effects, train_mask, other, config, touched)
     except SemiparamError as error:
@@ -215,7 +222,7 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
     structure, fast = (None, []) if setup else _left(final, samples, start)
     everything, told = _told(final, steps, samples, start, other is None)
     found = findings(final, steps, everything, told)
-    touches, notes = [] if setup else contacts(final), _notes(samples, start, found)
+    touches, notes = [] if setup else contacts(everything), _notes(samples, start, found, names)
     for fit in (start.first, final, everything):
         fit.forget()
     return Diagnosis(
@@ -224,6 +231,18 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
         held_out=start.held_out, before=before, by_step=by_step, inputs=start.inputs, structure=structure, setup=setup,
         notes=[*fast, *notes], recorded=start.recorded, elsewhere=start.elsewhere, names=names,
         contacts=touches)
+
+
+def _suspected(body: RigidBody, samples: Samples, effects: Sequence[Effect], config: DiagnosisConfig,
+               touched: Sequence[tuple[float, float]]) -> list[SetupProblem]:
+    """What seems wrong with the set-up of each recording; outputs that never change raise SemiparamError."""
+    stamped = [effect.at_stamps(samples.origin) for effect in effects]
+    parts = [(alone(samples, part), ()) for part in samples.recordings] if samples.breaks else [(samples, touched)]
+    found = [problem for part, contact in parts for problem in setup_problems(body, part, config, contact, stamped)]
+    for problem in found:
+        if problem.what == CONSTANT:
+            raise SemiparamError(problem.sentence)
+    return found
 
 
 class _Start(NamedTuple):
@@ -255,7 +274,8 @@ def _first_model(body: RigidBody, samples: Samples, effects: Sequence[Effect],
     recorded, elsewhere = Recorded(samples, clean & may_fit, samples, clean & ~may_fit), None
     if other is not None:
         recorded = Recorded(samples, clean & may_fit, other[1], ~excluded(other[1], config))
-        elsewhere = Elsewhere(other[0], inputs.prepare(other[1]), inputs.mask(recorded.valid))
+        there = inputs._replace(factor=working_factor(other[1], config))
+        elsewhere = Elsewhere(other[0], there.prepare(other[1]), there, there.mask(recorded.valid))
     return _Start(calibrated(first, unvalued), inputs, clean, fitting, held_out, recorded,
                   elsewhere)
 
@@ -318,7 +338,7 @@ def _on_the_motion(steps: list[Step]) -> list[Step]:
 def _unlike(fit: Fit) -> bool:
     """Whether the model leaves too much to be believed where no inertias explain the outputs."""
     outputs = fit.samples.outputs[fit.train_mask]
-    left = np.mean(fit.squares / (len(outputs) * outputs.var(axis=0) + 1e-300))
+    left = np.mean(fit.squares / (fit.counts * outputs.var(axis=0) + 1e-300))
     return bool(left > fit.config.little)
 
 
@@ -353,19 +373,21 @@ def verdict(first: Fit, final: Fit, structure: Structure | None, unexplained: bo
     return 'nothing_missing' if final is first else 'effect_found'
 
 
-def _notes(samples: Samples, start: _Start, found: list[Finding]) -> list[str]:
+def _notes(samples: Samples, start: _Start, found: list[Finding], names: Sequence[str]) -> list[str]:
     """Doubts that are said beside the result."""
     config = start.first.config
     filter_declared = any(effect.kind == VelocityFilter.kind for effect in start.first.effects)
     stamps = bursts(samples, config) or late(start.inputs, samples, filter_declared)
     count, left_out = int((~start.clean).sum()), list[str]()
     if count:
-        left_out = [f'{count} of {len(samples)} samples next to gaps and shocks are left out.']
-    return [*stamps, *unidentifiable(start.first.body, samples, config), *left_out,
-            *_changed_in_gaps(found, samples, config)]
+        left_out = [f'{count} of {len(samples)} samples are left out: next to gaps, shocks and breaks, or while the '
+                    'robot was known to be touched.']
+    return [*stamps, *unidentifiable(start.first.body, samples, config, names), *left_out,
+            *_changed_in_gaps(found, samples, names, config)]
 
 
-def _changed_in_gaps(found: list[Finding], samples: Samples, config: DiagnosisConfig) -> list[str]:
+def _changed_in_gaps(found: list[Finding], samples: Samples, names: Sequence[str],
+                     config: DiagnosisConfig) -> list[str]:
     """A sentence for each effect that may have begun, or ended, anywhere in a gap, as between two stretches of a long
     recording."""
     time, beside, sentences = samples.time, margin(samples, config), list[str]()
@@ -374,6 +396,7 @@ def _changed_in_gaps(found: list[Finding], samples: Samples, config: DiagnosisCo
             earliest, latest = time[max(gap.before - beside, 0)], time[min(gap.before + 1 + beside, len(time) - 1)]
             for word, time_s in (('began', effect.start_s), ('ended', effect.end_s)):
                 if time_s is not None and earliest <= time_s <= latest:
-                    sentences.append(f'{place(effect.kind, effect.where)} {word} between {gap.start_s:.1f} and '
-                                     f'{gap.start_s + gap.length_s:.1f} s, where nothing was looked at.')
+                    start_s, of = own_time(samples, names, gap.start_s)
+                    sentences.append(f'{place(effect.kind, effect.where)} {word} between {start_s:.1f} and '
+                                     f'{start_s + gap.length_s:.1f} s{of}, where nothing was looked at.')
     return sentences

@@ -178,6 +178,12 @@ def prepared(body: RigidBody, samples: Samples, effects: Sequence[Effect], may_f
     return inputs, chosen, inputs.mask(clean) & counted.any(axis=1), counted
 
 
+def of_one_rate(recordings: Sequence[Samples], config: DiagnosisConfig = DEFAULTS) -> list[Samples]:
+    """The recordings, those that are faster averaged down to about the rate of the slowest."""
+    factors = [working_factor(samples, config) for samples in recordings]
+    return [averaged(samples, factor // min(factors)) for samples, factor in zip(recordings, factors, strict=True)]
+
+
 def with_usual(body: RigidBody, samples: Samples, effects: Sequence[Effect]) -> list[Effect]:
     """The effects beside those of motion alone that all joints have, as friction: without them the noise of a motion
     hardly shows in the outputs."""
@@ -216,13 +222,14 @@ def too_fast(body: RigidBody, samples: Samples, inputs: Inputs, fit: Fit) -> lis
 def late(inputs: Inputs, samples: Samples, filter_declared: bool = False) -> list[str]:
     """A sentence about velocities, unless their filter is declared, and one about accelerations, that come after the
     positions, as filtered ones do."""
-    least, used = 0.5e-9 * float(np.median(np.diff(samples.stamps))), SMOOTHED.get(inputs.motion, (0,))[0]
-    sentences = []
+    least, sentences = 0.5e-9 * float(np.median(np.diff(samples.stamps))), []
     remedies = (f'declare velocity_filter{{"time_constant_s": {inputs.lags[0]:.2g}}}',
                 'where none are published, raise acceleration.cutoff')
     for order, (name, lag, remedy) in enumerate(
             zip(('velocities', 'accelerations'), inputs.lags, remedies, strict=True), start=1):
         if lag > least and not (order == 1 and filter_declared):
+            smooth_but = order == 1 and inputs.motion == BUT_ACCELERATIONS
+            used = SMOOTHED.get('smoothed' if smooth_but else inputs.motion, (0,))[0]
             here = ('Here they were taken as much earlier.' if used > order else 'They were not used here.' if used else
                     'Until then a friction or a delay found here may be off.')
             sentences.append(f'The {name} come {1e3 * lag:.1f} ms after the motion of the positions, as a filter makes '

@@ -304,9 +304,11 @@ def fit_model(body: RigidBody, samples: Samples, effects: Sequence[Effect], trai
               config: DiagnosisConfig = DEFAULTS, counted: Mask | None = None) -> Fit:
     """Fit the rigid body, the offset and the effects by least squares, with a weak prior about the description.
 
-    :param counted: (N, n) outputs that tell something; all unless given.
+    :param counted: (N, n) outputs that tell something; all unless given, and of a joint that hardly moves in the
+        samples that fit.
     """
     counted = np.ones(samples.outputs.shape, dtype=bool) if counted is None else counted
+    counted = counted | (counted[train_mask].sum(axis=0) < config.least_working_samples)
     unfitted = Fit(body, samples, tuple(effects), train_mask, counted, scale, np.zeros(0), samples.outputs, config)
     return reweighted(unfitted, scale)
 

@@ -7,10 +7,8 @@ from collections.abc import Sequence
 from datetime import datetime, timezone
 from typing import NamedTuple
 
-import numpy as np
-
 from semiparam_ros.core.samples import Samples
-from semiparam_ros.diagnosis.data.recordings import breaks_s
+from semiparam_ros.diagnosis.data.recordings import breaks_s, own_time
 from semiparam_ros.diagnosis.diagnose import Diagnosis
 from semiparam_ros.diagnosis.findings import Finding, Quantity
 from semiparam_ros.diagnosis.search.stepwise import Rival
@@ -41,11 +39,11 @@ def text_report(diagnosis: Diagnosis) -> list[str]:
     lines += [f'Declared: {place(each.effect.kind, each.effect.where)}'
               f'{when(diagnosis, each.effect)} ({_values(each)}).' for each in diagnosis.declared]
     lines += [ONE_FREEDOM] if diagnosis.gain_and_mass_are_one else []
-    dropped = [place(effect.kind, effect.where)
-               for step in diagnosis.steps for effect in step.dropped]
-    if dropped:
+    held = {place(effect.kind, effect.where) for effect in diagnosis.final.effects}
+    dropped = dict.fromkeys(place(effect.kind, effect.where) for step in diagnosis.steps for effect in step.dropped)
+    if gone := [name for name in dropped if name not in held]:
         lines.append('Tried first and dropped, because the effects above explain it better: '
-                     f'{", ".join(dropped)}.')
+                     f'{", ".join(gone)}.')
     if diagnosis.findings:
         lines.append(_gain(diagnosis))
     if diagnosis.structure is not None and diagnosis.structure.significant:
@@ -67,9 +65,11 @@ def summary(diagnosis: Diagnosis) -> list[str]:
 def _verdict(diagnosis: Diagnosis) -> list[str]:
     """What is wrong with the set-up, else whether anything is missing, and outputs that stay a
     riddle, whatever was found elsewhere."""
+    shifted = 'The offset of its sensor is another one there: diagnose both recordings as one, each with its own.'
     riddles = [f'{name} is not explained: {100 * left:.0f} % of its variance is left, of which '
-               f'noise is {100 * noise:.0f} %. Look at its sign, its unit, its place in the '
-               'message, or for contact.'
+               f'noise is {100 * noise:.0f} %. ' + (shifted if name in diagnosis.shifted_outputs else
+                                                     'Look at its sign, its unit, its place in the message, or for '
+                                                     'contact.')
                for name, (left, noise) in diagnosis.unexplained_outputs.items()]
     return [problem.sentence for problem in diagnosis.setup] or [_opening(diagnosis), *riddles]
 
@@ -97,25 +97,27 @@ def _contacts(diagnosis: Diagnosis) -> list[str]:
     for contact in diagnosis.contacts:
         name, value = max(contact.channels.items(), key=lambda item: abs(item[1]))
         where = f' on the link after {contact.joint} or beyond it' if contact.joint else ''
-        lines.append(f'  {contact.start_s:.1f} to {contact.end_s:.1f} s{where}: {name} {value:+.2g} {units[name]}'
+        start_s, of = own_time(diagnosis.recorded.samples, diagnosis.names, contact.start_s)
+        end_s = start_s + contact.end_s - contact.start_s
+        lines.append(f'  {start_s:.1f} to {end_s:.1f} s{of}{where}: {name} {value:+.2g} {units[name]}'
                      + (f', and {listed([other for other in contact.channels if other != name])}'
                         if len(contact.channels) > 1 else '') + '.')
     count = 'once' if len(lines) == 1 else f'{len(lines)} times'
     return [f'The arm seems to have been touched {count}; record without that, or leave these stretches out:', *lines]
 
 
-def when(diagnosis: Diagnosis, effect: Effect) -> str:
-    """From when to when, or in which recordings, an effect is there; empty when it always was."""
+def when(diagnosis: Diagnosis, effect: Effect, dated: bool = True) -> str:
+    """From when to when, with dates or without, or in which recordings, an effect is there; empty when it always was.
+    """
     names, samples = diagnosis.recordings_of(effect), diagnosis.recorded.samples
     parts = [f', in {listed(names)}'] if names and len(names) < len(diagnosis.names) else []
     breaks = breaks_s(samples)
     for word, time_s in (('since', effect.start_s), ('until', effect.end_s)):
         if time_s is None or time_s in breaks:
             continue
-        number = int(np.searchsorted(breaks, time_s))
-        own_s = time_s - [0.0, *breaks][number]
-        of = f' of {diagnosis.names[number]}' if breaks else ''
-        date = '' if number else at_time(samples, time_s)  # later recordings may have been moved in time
+        own_s, of = own_time(samples, diagnosis.names, time_s)
+        first = dated and own_s == time_s  # later recordings may have been moved in time
+        date = at_time(samples, time_s) if first else ''
         parts.append(f', {word} {own_s:.1f} s{of}{date}')
     return ''.join(parts)
 
@@ -161,14 +163,20 @@ def _values(finding: Finding, most: int = MOST_PARAMETERS) -> str:
 
 def quantity_text(quantity: Quantity) -> str:
     """A value with its standard deviation and unit, to the digits that the deviation leaves."""
+    return f'{" +- ".join(filter(None, rounded(quantity)))} {quantity.unit}'.rstrip()
+
+
+def rounded(quantity: Quantity) -> tuple[str, str]:
+    """A value and its standard deviation, to the digits that the deviation leaves; the latter is empty where it was
+    searched."""
     std = quantity.std
     if not std or not math.isfinite(std):
-        return f'{quantity.value:.4g} {quantity.unit}'.rstrip()
+        return f'{quantity.value:.4g}', ''
     place = math.floor(math.log10(std)) - 1
     if -place > MOST_DECIMALS:
-        return f'{quantity.value:.{MOST_DECIMALS - 2}g} +- {std:.2g} {quantity.unit}'.rstrip()
+        return f'{quantity.value:.{MOST_DECIMALS - 2}g}', f'{std:.2g}'
     decimals = max(-place, 0)
-    return f'{round(quantity.value, -place):.{decimals}f} +- {round(std, -place):.{decimals}f} {quantity.unit}'.rstrip()
+    return f'{round(quantity.value, -place):.{decimals}f}', f'{round(std, -place):.{decimals}f}'
 
 
 class TableRow(NamedTuple):
@@ -189,7 +197,7 @@ def table_rows(diagnosis: Diagnosis) -> list[TableRow]:
         return (order.index(where) if where in order else len(order), where or '')
 
     return [TableRow(finding.effect.where or 'all', finding.effect.kind, _values(finding, MOST_IN_ROW),
-                     when(diagnosis, finding.effect).removeprefix(', ').partition(' (')[0])
+                     when(diagnosis, finding.effect, dated=False).removeprefix(', '))
             for finding in sorted(diagnosis.findings, key=number)]
 
 
@@ -238,7 +246,8 @@ def _likely(odds: float) -> str:
 def _gain(diagnosis: Diagnosis) -> str:
     before, after = diagnosis.before, diagnosis.after
     low, high = after.interval()
-    said = (f'On held-out data the normalised error falls from {before.nmse.mean():.4f} to {after.nmse.mean():.4f} '
+    verb = 'falls' if after.nmse.mean() < before.nmse.mean() else 'rises'
+    said = (f'On held-out data the normalised error {verb} from {before.nmse.mean():.4f} to {after.nmse.mean():.4f} '
             f'(95 % interval {low:.4f} to {high:.4f}).')
     if diagnosis.everything is diagnosis.final:
         return said

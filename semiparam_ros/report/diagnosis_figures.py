@@ -20,6 +20,7 @@ from scipy.signal import welch
 from semiparam_ros.core.robot.frames import frame_motion
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.types import Array, Mask
+from semiparam_ros.diagnosis.data.recordings import without_pauses
 from semiparam_ros.diagnosis.data.splits import ranges
 from semiparam_ros.diagnosis.diagnose import Diagnosis
 from semiparam_ros.diagnosis.findings import Finding
@@ -84,7 +85,7 @@ def dependence(variable: Array, explained: Array) -> float:
 
 
 def _time(fit: Fit) -> Variable:
-    return Variable('time [s]', fit.samples.time)
+    return Variable('time [s]', without_pauses(fit.samples))
 
 
 def _joints(effect: Effect, fit: Fit, role: str) -> list[Variable]:
@@ -209,14 +210,15 @@ def limits(*residuals: Array) -> tuple[float, float]:
 def spectra(diagnosis: Diagnosis) -> Figure:
     """Power of the residual over that of its white noise, before and after, mean over outputs of a kind."""
     fit = diagnosis.final
-    floor, groups = noise_floor(fit.residual[fit.train_mask]), GROUPS[fit.body.outputs]
+    floor = noise_floor(fit.residual[fit.train_mask], fit.counted[fit.train_mask])
+    groups, telling = GROUPS[fit.body.outputs], fit.counted / np.sqrt(fit.counted.mean(axis=0))
     step = float(np.median(np.diff(fit.samples.time)))
     with page_style():
         figure = Figure(figsize=(WIDTH, 2.8))
         panels = np.atleast_1d(figure.subplots(1, len(groups), sharey=True))
         for panel, (title, channels) in zip(panels, groups.items(), strict=True):
             for curve in curves(diagnosis.first.residual, fit.residual, bool(diagnosis.steps)):
-                frequency, power = relative_power(curve.residual, step, floor)
+                frequency, power = relative_power(curve.residual * telling, step, floor)
                 panel.plot(frequency, power[:, channels].mean(axis=1), color=curve.colour, label=curve.name)
             panel.axhline(1.0, color=INK, linewidth=0.9, linestyle=(0, (2, 2)), label='white noise')
             panel.set(yscale='log', xscale='log', xlabel='frequency [Hz]')
@@ -326,18 +328,19 @@ def suspicions(diagnosis: Diagnosis) -> list[Suspicion]:
 
 
 def against_suspected(diagnosis: Diagnosis, suspicion: Suspicion) -> Figure:
-    """The residual of an output before and after what was found in it, at the samples that fitted."""
-    channel, train_mask = suspicion.channel, diagnosis.first.train_mask
-    variable = Variable(suspicion.variable.label, suspicion.variable.values[train_mask])
-    sides = (('before', suspicion.step.before.residual[train_mask, channel], BEFORE),
-             ('after', diagnosis.final.residual[train_mask, channel], AFTER))
+    """The residual of an output before and after what was found in it, where it fitted."""
+    channel = suspicion.channel
+    use = diagnosis.final.in_use[channel]
+    variable = Variable(suspicion.variable.label, suspicion.variable.values[use])
+    sides = (('before', suspicion.step.before.residual[use, channel], BEFORE),
+             ('after', diagnosis.final.residual[use, channel], AFTER))
     with page_style():
         figure = Figure(figsize=(WIDTH, HEIGHT), dpi=CLOUD_DPI)
         panels = figure.subplots(1, 2, sharex=True, sharey=True)
         for panel, (title, residual, colour) in zip(panels, sides, strict=True):
             _cloud(panel, variable, residual, colour)
             panel.set_title(title)
-        _course(panels[0], variable, suspicion.explained[train_mask], 'what the effect explains')
+        _course(panels[0], variable, suspicion.explained[use], 'what the effect explains')
         panels[0].set_ylabel(_residual_label(diagnosis.first, channel))
         panels[0].set_ylim(*limits(*(residual for _, residual, _ in sides)))
     return figure
@@ -357,8 +360,9 @@ def against_unexplained(fit: Fit, structure: Structure) -> tuple[Figure, str]:
     Where time is among the variables, the beginning and the end of the recording have courses of
     their own.
     """
-    channel, train_mask = int(np.argmax(structure.channel_shares)), fit.train_mask
-    residual, time = fit.residual[train_mask, channel], fit.samples.time[train_mask]
+    channel = int(np.argmax(structure.channel_shares))
+    use = fit.in_use[channel]
+    residual, time = fit.residual[use, channel], fit.samples.time[use]
     names = [each.name for each in structure.variables]
     chosen = sorted(names, key=lambda name: name == 'time')[:MOST_VARIABLES] or ['time']
     with page_style():
@@ -367,7 +371,7 @@ def against_unexplained(fit: Fit, structure: Structure) -> tuple[Figure, str]:
         for panel, name in zip(panels, chosen, strict=True):
             role, _, joint = name.partition('_')
             label = _quantity(fit.body, ROLES[role][0], joint) if joint else 'time [s]'
-            variable = Variable(label, variable_values(name, fit.body, fit.samples)[train_mask])
+            variable = Variable(label, variable_values(name, fit.body, fit.samples)[use])
             _cloud(panel, variable, residual, AFTER)
             for label, rows, colour in _periods(time, 'time' in names and name != 'time'):
                 _course(panel, Variable(variable.label, variable.values[rows]), residual[rows], label, colour)

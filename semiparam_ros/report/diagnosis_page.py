@@ -9,12 +9,13 @@ import numpy as np
 
 from semiparam_ros import __version__
 from semiparam_ros.core.types import Array
+from semiparam_ros.diagnosis.data.recordings import without_pauses
 from semiparam_ros.diagnosis.diagnose import Diagnosis, Elsewhere
 from semiparam_ros.diagnosis.findings import Finding
 from semiparam_ros.diagnosis.regression import Fit
 from semiparam_ros.diagnosis.residual.formula import Formula
 from semiparam_ros.diagnosis.residual.structure import Structure
-from semiparam_ros.diagnosis.text_report import next_step, table_rows, text_report, when
+from semiparam_ros.diagnosis.text_report import next_step, rounded, table_rows, text_report, when
 from semiparam_ros.effects import effect_to_text, kinds
 from semiparam_ros.effects.base import place
 from semiparam_ros.report import diagnosis_figures as figures
@@ -117,9 +118,9 @@ def causes(diagnosis: Diagnosis) -> list[CauseRow]:
 
 def _cause(diagnosis: Diagnosis, finding: Finding) -> CauseRow:
     effect = finding.effect
-    since = when(diagnosis, effect).removeprefix(', ').partition(' (')[0] or 'from the beginning'
-    parameters = [ParameterRow(name, f'{quantity.value:.4g}', '' if quantity.std is None else f'{quantity.std:.2g}',
-                            quantity.unit.replace('^2', '²')) for name, quantity in finding.parameters.items()]
+    since = when(diagnosis, effect, dated=False).removeprefix(', ') or 'from the beginning'
+    parameters = [ParameterRow(name, *rounded(quantity), quantity.unit.replace('^2', '²'))
+                  for name, quantity in finding.parameters.items()]
     alternatives = [AlternativeRow(place(rival.kind, rival.where), odds_text(rival.odds),
                                 kinds()[rival.kind].separated_by) for rival in finding.rivals]
     return CauseRow(place(effect.kind, effect.where), since, finding.log_evidence_gain, parameters,
@@ -188,14 +189,18 @@ def _over_time(diagnosis: Diagnosis) -> list[Picture]:
     """Residuals over time of the recording diagnosed, and of the one that judged, if another."""
     first, final, added = diagnosis.first, diagnosis.final, bool(diagnosis.steps)
     changes = [(name + place(effect.kind, effect.where), time_s) for effect in diagnosis.everything.effects
+               if effect not in diagnosis.offsets
                for name, time_s in (('', effect.start_s), ('end of ', effect.end_s)) if time_s is not None]
     held_out = diagnosis.held_out if diagnosis.elsewhere is None else np.zeros(len(first.samples), dtype=bool)
     caption = 'What the model does not explain of each output'
     caption += ', before and after the effects were added.' if added else '.'
     caption += ' The shaded blocks were not used for the fit.' if held_out.any() else ''
     caption += ' A dashed line marks the start or the end of an effect.' if changes else ''
-    own = figures.over_time(first.samples.time, figures.curves(first.residual, final.residual, added),
-                            _labels(diagnosis), held_out, changes)
+    caption += ' The recordings follow one another without their pauses.' if first.samples.breaks else ''
+    time = without_pauses(first.samples)
+    marks = [(name, float(np.interp(time_s, first.samples.time, time))) for name, time_s in changes]
+    own = figures.over_time(time, figures.curves(first.residual, final.residual, added), _labels(diagnosis), held_out,
+                            marks)
     shown = [picture('Residual over time', 'time', own, caption)]
     if diagnosis.elsewhere is not None:
         shown.append(_over_time_elsewhere(diagnosis, diagnosis.elsewhere))
@@ -262,4 +267,5 @@ def _facts(diagnosis: Diagnosis) -> list[tuple[str, str]]:
             ('Judged on', f'{judged}. Nothing of it was used to find, to fit or to rank.'),
             ('Joint motion', f'{diagnosis.inputs.motion}; of the recorded and the smoothed motion, the one with which '
                              'the declared model predicted unseen blocks best.'),
-            ('Declared before', ', '.join(map(effect_to_text, diagnosis.first.effects)) or 'no effects')]
+            ('Declared before', ', '.join(effect_to_text(effect) for effect in diagnosis.first.effects
+                                          if effect not in diagnosis.offsets) or 'no effects')]

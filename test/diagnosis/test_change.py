@@ -7,15 +7,17 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.diagnosis import change
 from semiparam_ros.diagnosis.change import name_change
 from semiparam_ros.diagnosis.config import DEFAULTS
 from semiparam_ros.diagnosis.search.moves import Move
 from semiparam_ros.diagnosis.search.score import Gain
-from semiparam_ros.effects import effect_from_text
+from semiparam_ros.effects import effect_from_text, kinds
 from semiparam_ros.experiments.scoreboard import body_of, samples_of
 from semiparam_ros.simulation.scenario import EffectRequest, Scenario
 from semiparam_ros.simulation.simulate import simulate, true_arm
+from support.arms import TWO_ARMS, TWO_ARMS_JOINTS, smooth_motion
 
 JOINTS = ('r_shoulder_pitch', 'r_shoulder_roll', 'r_shoulder_yaw', 'r_elbow')
 PICKED_UP_S = 42.0
@@ -36,6 +38,21 @@ def test_a_load_is_named_where_the_dry_friction_of_the_joints_sticks(seed):
     assert named.effect.kind == 'payload'
     mass, true = named.parameters['mass'], found.truth[-1]['parameters']['mass']['value']
     assert abs(mass.value - true) < 3.0 * mass.std
+
+
+@pytest.mark.parametrize('hand', ['a_fore', 'b_fore'])
+def test_a_load_is_named_at_either_hand(hand):
+    """The last link of all was tried alone: what the first of two arms picked up was nothing."""
+    body = RigidBody.from_urdf(TWO_ARMS, TWO_ARMS_JOINTS, 'effort')
+    motion = smooth_motion(5, 800)
+    exact = body.outputs_of(motion, body.base_parameters)
+    carried = np.array([1.5, 0.0, 0.0, 0.15, 0.02, 0.0, 0.02, 0.0, 0.0, 0.005])
+    load = kinds()['payload'](hand).columns(body, motion, None)[0] @ carried
+    noise = 0.01 * exact.std(axis=0) * np.random.default_rng(0).standard_normal(exact.shape)
+    samples = replace(motion, outputs=exact + noise + load * (motion.time >= 25.0)[:, None])
+    named = name_change(body, samples, [], 25.5)
+    assert named.effect is not None and (named.effect.kind, named.effect.where) == ('payload', hand)
+    assert named.parameters['mass'].value == pytest.approx(1.5, rel=0.02)
 
 
 def came(outputs: str, cause: str, seed: int, at_s: float = PICKED_UP_S):

@@ -338,10 +338,11 @@ def test_a_joint_offset_is_named_with_its_joint_and_angle(joint_offset):
     assert abs(angle.value - truth_of(OFFSET())['offset']) < 5.0 * angle.std
 
 
-@pytest.mark.parametrize(('kind', 'start_s'), [('payload', 37.4), ('sensor_offset', 21.4)])
-def test_a_start_inside_a_held_out_block_is_found_to_the_sample(kind, start_s):
+@pytest.mark.parametrize(('kind', 'start_s', 'size'), [
+    ('payload', 37.4, 1.0), ('payload', 35.9, 4.0), ('sensor_offset', 21.4, 1.0)])
+def test_a_start_inside_a_held_out_block_is_found_to_the_sample(kind, start_s, size):
     """After the judgement: no sample of that block may fit before."""
-    recording = hidden(kind, start_s=start_s)
+    recording = hidden(kind, start_s=start_s, size=size)
     found = found_in(recording, only=[kind])
     at = np.searchsorted(found.first.samples.time, start_s)
     assert found.held_out[at - 10:at + 10].all() and not found.final.train_mask[at - 10:at + 10].any()
@@ -350,6 +351,7 @@ def test_a_start_inside_a_held_out_block_is_found_to_the_sample(kind, start_s):
     assert 1e9 * diagnosis_jobs.declared(found)[0].span.start_stamp_s == pytest.approx(
         found.recorded.samples.origin + found.findings[0].effect.start_s * 1e9, abs=1000)
     assert found.everything.train_mask.sum() == found.final.train_mask.sum() + found.held_out.sum()
+    assert not found.contacts, 'what began a little earlier or later than the judged model has it is no touch'
     assert found.on_all_samples.nmse.mean() < found.after.nmse.mean()
     told = found.as_dict()
     assert told['all_samples']['nmse_mean'] == pytest.approx(found.on_all_samples.nmse.mean())
@@ -649,7 +651,15 @@ def test_the_noise_floor_sees_white_noise_beside_slow_variation():
     rng, time = np.random.default_rng(2), np.arange(20_000)
     slow = 40.0 * np.sin(0.02 * time)
     values = np.column_stack([3.0 * rng.standard_normal(20_000), 3.0 * rng.standard_normal(20_000) + slow])
-    assert noise_floor(values) == pytest.approx([3.0, 3.0], rel=0.03)
+    assert noise_floor(values, np.ones(values.shape, dtype=bool)) == pytest.approx([3.0, 3.0], rel=0.03)
+
+
+def test_the_noise_floor_is_of_outputs_that_count():
+    """Efforts jump where joints come to rest: the noise was told up to five times as large as it is."""
+    rng, moving = np.random.default_rng(3), np.arange(20_000)[:, None] % 80 < np.array([40, 80])
+    values = np.where(moving, 0.0, 2.0) + 0.1 * rng.standard_normal(moving.shape)
+    assert noise_floor(values, moving) == pytest.approx([0.1, 0.1], rel=0.03)
+    assert noise_floor(values, np.ones(moving.shape, dtype=bool))[0] > 0.2
 
 
 def test_correlation_times_are_those_of_an_autoregression():

@@ -14,13 +14,15 @@ from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.diagnosis.data.recordings import during
 from semiparam_ros.diagnosis.diagnose import diagnose
+from semiparam_ros.diagnosis.residual.contacts import contacts
+from semiparam_ros.diagnosis.search.stepwise import starting_fit
 from semiparam_ros.diagnosis.text_report import text_report
 from semiparam_ros.effects import effect_from_text, kinds
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.experiments.scoreboard import body_of, samples_of
 from semiparam_ros.simulation.scenario import EffectRequest, Scenario
 from semiparam_ros.simulation.simulate import simulate
-from support.arms import pinocchio_efforts
+from support.arms import TWO_ARMS, TWO_ARMS_JOINTS, pinocchio_efforts, smooth_motion
 
 COMPETITORS = ['joint_offset', 'gravity_tilt', 'time_delay', 'payload', 'external_force']
 
@@ -147,6 +149,27 @@ def test_a_declared_filter_is_not_put_right_twice_in_a_whole_recording():
     assert known in found.standing
     notes = [any(note.startswith('The velocities come') for note in each.notes) for each in (without, found)]
     assert notes == [True, False]
+
+
+def test_the_link_that_was_touched_is_that_of_the_arm_whatever_the_order_of_the_joints():
+    """Of joints named from the tip on it was the one next to the base."""
+    body = RigidBody.from_urdf(TWO_ARMS, TWO_ARMS_JOINTS[::-1], 'effort')
+    samples = smooth_motion(5, 800)
+    outputs = body.outputs_of(samples, body.base_parameters)
+    outputs += 0.01 * outputs.std(axis=0) * np.random.default_rng(0).standard_normal(outputs.shape)
+    touched = outputs + [0.0, 0.0, 4.0, 6.0, 3.0] * ((samples.time > 20.0) & (samples.time < 20.8))[:, None]
+    fit = starting_fit(body, replace(samples, outputs=touched), [], np.ones(800, dtype=bool))
+    assert [contact.joint for contact in contacts(fit)] == ['a_elbow']
+
+
+@pytest.mark.parametrize('pause_s', [0, 3600])
+def test_what_bursts_nearly_half_the_time_is_no_touch(pause_s):
+    """The time between two recordings, or stretches of a long one, counted as time without touches."""
+    _, body, samples = recorded('effort')
+    stamps = samples.stamps + (np.arange(800) >= 400) * pause_s * 10**9
+    bursts = (np.arange(800) % 100 < 45)[:, None] * 100.0 * samples.outputs.std(axis=0)
+    fit = starting_fit(body, replace(samples, stamps=stamps), [], np.ones(800, dtype=bool))
+    assert contacts(replace(fit, residual=fit.residual + bursts)) == []
 
 
 def test_touches_are_named_with_their_times_and_the_link():

@@ -14,7 +14,7 @@ from semiparam_ros.core.robot.consistency import pseudo_inertia
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.diagnosis.data.outliers import counted_outputs, resting
-from semiparam_ros.diagnosis.diagnose import diagnose
+from semiparam_ros.diagnosis.diagnose import _unlike, diagnose
 from semiparam_ros.diagnosis.evaluation import evaluation_of
 from semiparam_ros.diagnosis.preparation import ESTIMATED, best_inputs
 from semiparam_ros.diagnosis.regression import Fit, fit_model, refitted, with_effects
@@ -96,6 +96,33 @@ def test_a_joint_that_rests_wherever_it_is_judged_is_judged_all_the_same():
     judged = evaluation_of(BODY, outputs, residual, valid, counted=counted)
     assert judged.nmse == pytest.approx(np.mean(residual[valid] ** 2, axis=0) / outputs[valid].var(axis=0))
     assert nmse(residual, outputs, valid[:, None] & counted) == pytest.approx(judged.nmse)
+
+
+def test_a_slower_recording_that_judges_is_averaged_as_its_own_rate_asks():
+    """A mean of twelve samples at 40 Hz was over 0.3 s, and what it left was told as the error of the model."""
+    fast, slow = (replace(motion, outputs=BODY.outputs_of(motion, 1.1 * BODY.base_parameters))
+                  for motion in (smooth_motion(4, 6000, rate=500.0), smooth_motion(4, 800, rate=40.0, seed=1)))
+    found = diagnose(BODY, fast, other=('slow', slow), only=['time_delay'])
+    assert found.before.nmse.max() < 1e-6
+    ranges = found.as_dict()['held_out']['ranges']
+    assert sum(end - start for start, end in ranges) == found.elsewhere.valid.sum() > 700
+
+
+def test_what_is_left_is_a_share_of_the_outputs_that_count():
+    """Where joints rest nine times in ten, a model that left all seemed to leave a tenth."""
+    samples, counted = moving(), np.arange(COUNT)[:, None] % 20 < np.array([1, 20, 20, 20])
+    fit = starting_fit(BODY, samples, [], np.ones(COUNT, dtype=bool), counted=counted)
+    deviation = samples.outputs - samples.outputs.mean(axis=0)
+    assert _unlike(replace(fit, residual=deviation * [1.0, 0.0, 0.0, 0.0]))
+    assert not _unlike(replace(fit, residual=deviation * [0.1, 0.0, 0.0, 0.0]))
+
+
+def test_a_joint_that_moves_where_it_is_judged_alone_is_fitted_all_the_same():
+    """No output of it was left to tell its noise, and the diagnosis ended in an error."""
+    samples, counted = moving(), np.ones((COUNT, 4), dtype=bool)
+    counted[:, 2] = np.arange(COUNT) < 200
+    fit = starting_fit(BODY, samples, [], np.arange(COUNT) >= 180, counted=counted)
+    assert np.all(fit.counts == COUNT - 180) and np.all(np.isfinite(fit.theta))
 
 
 def test_a_joint_that_never_moves_still_counts_and_one_that_turns_back_does_not_rest():

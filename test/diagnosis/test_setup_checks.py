@@ -13,14 +13,16 @@ from scipy.signal import lfilter
 
 from conftest import SHARED_DATA
 from semiparam_ros.bags.reader import open_bag
+from semiparam_ros.core.columns import CoupledColumns
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.signals.differentiation import CausalDifferentiator
 from semiparam_ros.diagnosis.data.outliers import excluded, working_factor
 from semiparam_ros.diagnosis.diagnose import diagnose
-from semiparam_ros.diagnosis.preparation import Inputs, bursts, late, measured_lags
+from semiparam_ros.diagnosis.preparation import BUT_ACCELERATIONS, Inputs, bursts, late, measured_lags
 from semiparam_ros.diagnosis.setup.checks import setup_problems
 from semiparam_ros.diagnosis.setup.identifiability import unidentifiable
+from semiparam_ros.effects import effect_from_text
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.simulation.scenario import EffectRequest, Scenario
 from semiparam_ros.simulation.simulate import simulate
@@ -310,6 +312,22 @@ def test_effects_of_three_times_the_usual_size_raise_no_alarm(outputs, kind, mot
     assert setup_problems(*simulated(outputs, kind, motion, 5)) == []
 
 
+@pytest.mark.parametrize(('outputs', 'effect'), [
+    ('wrench', 'payload@r_gripper{"mass": 6.0, "first_moment_z": 0.5}'),
+    ('effort', 'payload@r_gripper{"mass": 6.0, "first_moment_z": 0.5}'),
+    ('wrench', 'sensor_misalignment{"rotation_x": 0.0, "rotation_y": 0.0, "rotation_z": 1.5}'),
+    ('effort', 'joint_offset@r_shoulder_pitch{"offset": -1.5}')])
+def test_large_effects_that_are_declared_are_no_mistakes(outputs, effect):
+    """A heavy tool was another unit, a sensor mounted at right angles other axes, though the model knew of them."""
+    body, samples = simulated(outputs)
+    known = effect_from_text(effect)
+    coupled = CoupledColumns(body, [known])
+    changed = coupled.batch(samples)[0] @ coupled.prior_mean - body.outputs_of(samples, body.base_parameters)
+    there = replace(samples, outputs=samples.outputs + changed)
+    assert setup_problems(body, there) and setup_problems(body, there, effects=[known]) == []
+    assert setup_problems(body, replace(there, outputs=-there.outputs), effects=[known])
+
+
 @pytest.mark.parametrize('outputs', ['wrench', 'effort'])
 def test_a_dead_output_ends_the_diagnosis_in_one_sentence(outputs):
     """One of them was noted alone: weighed as exact, it ended the fit, or bent it and had an error of 1e300."""
@@ -427,6 +445,14 @@ def test_accelerations_that_the_package_filters_itself_are_not_said_to_be_publis
     assert 'where none are published, raise acceleration.cutoff' in sentence
 
 
+def test_late_velocities_beside_recorded_accelerations_were_put_right():
+    """They are smoothed there, a little earlier: only the accelerations stay late."""
+    samples = simulated()[1]
+    velocity, acceleration = late(Inputs(BUT_ACCELERATIONS, 1, lags=(0.05, 0.05)), samples)
+    assert velocity.endswith('Here they were taken as much earlier.')
+    assert acceleration.endswith('Until then a friction or a delay found here may be off.')
+
+
 def test_the_late_velocities_of_the_real_icub_are_noted(shared_data):
     lag = float(said_to_be_late(real_icub()[1])[0].partition('The velocities come ')[2].partition(' ms')[0]) * 1e-3
     assert lag == pytest.approx(0.075, abs=0.01)
@@ -440,6 +466,14 @@ def test_one_sine_for_all_joints_is_said_to_be_one():
     assert any('The 4 joints move along 2 directions only' in note for note in unidentifiable(body, one))
     more = replace(one, position=one.position + 0.1 * np.sin(3.1 * phase))
     assert not any('directions only' in note for note in unidentifiable(body, more))
+
+
+def test_joints_that_move_less_than_others_move_by_themselves():
+    """Next to a radian and a half, 30 mm and 30 mrad counted as no direction of their own."""
+    body, samples = simulated('effort')
+    angle = samples.time[:, None] * np.array([1.0, 1.7, 2.3, 2.9])
+    own = replace(samples, position=np.sin(angle) * np.array([1.5, 1.5, 0.03, 0.03]))
+    assert not any('directions only' in note for note in unidentifiable(body, own))
 
 
 def test_efforts_that_are_zero_nine_times_in_ten_are_no_measurements():

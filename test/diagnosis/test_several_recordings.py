@@ -10,16 +10,28 @@ import pytest
 from semiparam_ros.cli.main import main
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.signals.smoothing import smoothed
-from semiparam_ros.diagnosis.data.outliers import excluded, gaps
-from semiparam_ros.diagnosis.data.recordings import beside_breaks, during, present, whole_groups
+from semiparam_ros.diagnosis.data.outliers import excluded, gaps, working_factor
+from semiparam_ros.diagnosis.data.recordings import (
+    beside_breaks,
+    during,
+    own_time,
+    present,
+    whole_groups,
+    without_pauses,
+)
 from semiparam_ros.diagnosis.diagnose import diagnose
-from semiparam_ros.diagnosis.text_report import text_report, when
+from semiparam_ros.diagnosis.preparation import of_one_rate
+from semiparam_ros.diagnosis.residual.contacts import Contact
+from semiparam_ros.diagnosis.setup.identifiability import unidentifiable
+from semiparam_ros.diagnosis.text_report import _contacts, text_report, when
 from semiparam_ros.effects import effect_from_text, effect_to_text, kinds
 from semiparam_ros.effects.base import Span
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.experiments.scoreboard import body_of, samples_of
+from semiparam_ros.report.diagnosis_page import diagnosis_page
 from semiparam_ros.simulation.scenario import Scenario
 from semiparam_ros.simulation.simulate import simulate
+from support.arms import smooth_motion
 from support.recordings import write_arm
 
 LOAD = np.array([0.15, 0.0, 0.01, 0.01, 3e-3, 0.0, 2e-3, 0.0, 0.0, 2e-3])
@@ -53,6 +65,45 @@ def test_a_load_in_some_of_the_recordings_is_found_there(outputs, loaded):
     assert found.as_dict()['effects'][0]['recordings'] == list(there)
     assert any(f', in {" and ".join(there)} (' in line for line in text_report(found))
     assert [found.lasts(effect) for effect in found.final.effects if effect.kind == 'payload'] == [2 in loaded]
+
+
+def test_the_page_of_several_recordings_holds_their_offsets_for_no_effects():
+    """It said that they had been declared, and marked the beginning of each recording as theirs."""
+    body, samples = recorded('wrench')
+    found = diagnose(body, Samples.joined(samples[:2]), only=['viscous_drag'], names=('a', 'b'))
+    assert len(found.offsets) == 1 and list(found.first.effects) == found.offsets
+    text = diagnosis_page(found, {}, 'a, b')
+    assert 'sensor_offset' not in text and '<dd>no effects</dd>' in text
+
+
+def test_recordings_of_different_rates_are_joined_at_about_the_slowest():
+    """The slower one was averaged by as many samples as the faster one asks: over 0.3 s of 40 Hz beside 500 Hz."""
+    fast, slow = smooth_motion(4, 6000, rate=500.0), smooth_motion(4, 480, rate=40.0, seed=1)
+    again, same = of_one_rate([fast, slow])
+    assert same is slow and len(again) == 500 and np.median(np.diff(again.time)) == pytest.approx(0.024)
+    assert working_factor(Samples.joined([again, same])) == 1
+    assert [one is other for one, other in zip(of_one_rate([fast, fast]), [fast, fast], strict=True)] == [True, True]
+
+
+def test_another_offset_on_the_recording_that_judges_is_said_to_be_one():
+    """The advice was to look at the output's sign, its unit, or for contact."""
+    body, (one, two, _) = recorded('wrench')
+    moved = replace(two, outputs=two.outputs + 3.0 * two.outputs.std(axis=0) * np.eye(6)[1])
+    found = diagnose(body, one, other=('tared anew', moved), only=['viscous_drag'])
+    assert found.shifted_outputs == list(found.unexplained_outputs) == ['fy']
+    assert any('The offset of its sensor is another one there' in line for line in text_report(found))
+
+
+def test_the_page_shows_recordings_hours_apart():
+    """Each was a line of ink at the edge of an empty picture."""
+    _, samples = recorded('wrench')
+    later = samples[1].stamps + 5 * 3600 * 10**9
+    joined = Samples.joined([samples[0], replace(samples[1], stamps=later, origin=int(later[0]))])
+    time, second = without_pauses(joined), joined.recordings[1]
+    assert joined.time[-1] > 17000.0 and np.all(np.diff(time) > 0.0)
+    assert time[second.start] == pytest.approx(joined.time[second.start - 1] + 1.0)
+    np.testing.assert_allclose(np.diff(time[second]), np.diff(joined.time[second]), atol=1e-6)
+    assert without_pauses(samples[0]) == pytest.approx(samples[0].time)
 
 
 def test_recordings_are_joined_without_touching_one_another():
@@ -97,6 +148,21 @@ def test_only_the_first_recording_has_a_date():
     first, second = (replace(load, span=Span(5.0 + start_s)) for start_s in (0.0, joined.time[joined.recordings[1]][0]))
     assert when(told, first).startswith(', since 5.0 s of late (2023-')
     assert when(told, second) == ', since 5.0 s of early'
+    told.names = ('run (1)', 'early')
+    assert when(told, first, dated=False) == ', since 5.0 s of run (1)'
+
+
+def test_times_count_from_the_beginning_of_their_recording():
+    """Those of touches and gaps counted through all of them, pauses included."""
+    body, samples = recorded('wrench')
+    joined = Samples.joined([samples[0], samples[1][np.r_[0:100, 140:500]]])
+    (told,) = [note for note in unidentifiable(body, joined, names=('a', 'b')) if 'gap' in note]
+    assert 'namely 2.05 s from 4.95 s of b on' in told
+    begin = joined.time[joined.recordings[1]][0]
+    assert own_time(joined, ('a', 'b'), begin) == (0.0, ' of b')
+    seen = SimpleNamespace(names=('a', 'b'), recorded=SimpleNamespace(samples=joined), contacts=[
+        Contact(begin + 3.0, begin + 3.5, {'fx': 2.0}, None)], first=SimpleNamespace(body=body))
+    assert _contacts(seen)[1] == '  3.0 to 3.5 s of b: fx +2 N.'
 
 
 @pytest.mark.parametrize('number', [0, 1, 2])

@@ -14,7 +14,7 @@ from semiparam_ros.diagnosis.data.splits import block_sums
 from semiparam_ros.diagnosis.diagnose import function_explains_more
 from semiparam_ros.diagnosis.residual.flexible import fold_labels, predictions, random_features
 from semiparam_ros.diagnosis.residual.formula import find_formula, library
-from semiparam_ros.diagnosis.residual.noise import coloured_noise
+from semiparam_ros.diagnosis.residual.noise import coloured_noise, resmoothed, without_input_errors
 from semiparam_ros.diagnosis.residual.structure import remaining_structure
 from semiparam_ros.diagnosis.search.refit import declare
 from semiparam_ros.diagnosis.search.stepwise import starting_fit
@@ -111,6 +111,53 @@ def test_samples_that_are_not_in_use_are_not_looked_at():
     residual, train_mask = noise(samples), np.arange(1500) < 900
     residual[900:] += 50.0 * samples.position[900:, :1]
     assert not remaining_structure(body, samples, residual, train_mask, np.ones(6)).significant
+
+
+def test_outputs_that_tell_nothing_are_no_zeros():
+    """Zeros at every rest seemed to depend on the velocity, and made coefficients too small by a third and more."""
+    samples, body = smooth_motion(4, 2500), icub()
+    counted = np.ones((2500, 6), dtype=bool)
+    counted[:, 1] = np.arange(2500) // 40 % 2 == 0
+    residual = 0.3 * noise(samples)
+    residual[:, 1] += 3.0 * samples.position[:, 3]
+    found = remaining_structure(body, samples, np.where(counted, residual, 50.0), np.ones(2500, dtype=bool),
+                                np.ones(6), counted=counted)
+    assert found.channels == ('fy',) and [each.name for each in found.variables] == ['q_r_elbow']
+    (formula,) = found.formulas
+    (summand,) = formula.summands
+    assert summand.term == 'q_r_elbow' and summand.coefficient == pytest.approx(3.0, rel=0.05)
+
+
+def test_targets_that_do_not_count_are_in_no_fit():
+    rng = np.random.default_rng(0)
+    features, counted = rng.standard_normal((600, 8)), np.arange(600)[:, None] % 7 > np.array([-1, 2, -1])
+    targets = features @ rng.standard_normal((8, 3)) + rng.standard_normal((600, 3))
+    found = predictions(features, np.where(counted, targets, 0.0), DEFAULTS, counted)
+    whole = predictions(features, targets)
+    np.testing.assert_allclose(found[:, [0, 2]], whole[:, [0, 2]], rtol=1e-9)
+    assert not found[~counted].any()
+    assert np.std((found - whole)[counted]) < 0.15 < np.std(whole)
+
+
+def test_what_errors_of_the_motion_leave_is_told_by_outputs_that_count():
+    samples, body = smooth_motion(4, 800), icub()
+    other = body.regressors(resmoothed(samples, 15)) - body.regressors(samples)
+    counted = np.arange(800)[:, None] // 40 % 2 == np.zeros(6)
+    residual = np.where(counted, other @ np.linspace(1.0, 2.0, body.n_parameters), 50.0)
+    left = without_input_errors(body, samples, residual, np.ones(800, dtype=bool), np.ones(6), counted=counted)
+    assert np.abs(left[counted]).max() < 1e-3 * np.abs(residual[counted]).max()
+
+
+def test_motion_is_not_smoothed_across_gaps_and_breaks():
+    """What was smoothed across one was a hundred times what errors of an acceleration are, at samples that fit."""
+    motion = smooth_motion(4, 400)
+    parts = [motion[:100], motion[200:300], motion[390:]]
+    stamps = np.concatenate([part.stamps for part in parts])
+    cut = replace(motion[np.isin(motion.stamps, stamps)], breaks=(int(motion.stamps[390]),))
+    found, (first, second, short) = resmoothed(cut, 15), (replace(part, breaks=()) for part in parts)
+    for role in ('position', 'velocity', 'acceleration'):
+        each = [getattr(part, role) for part in (resmoothed(first, 15), resmoothed(second, 15), short)]
+        np.testing.assert_array_equal(getattr(found, role), np.concatenate(each))
 
 
 def test_too_few_samples_give_no_verdict():

@@ -10,13 +10,14 @@ from matplotlib.colors import to_hex
 
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.diagnosis.diagnose import diagnose
+from semiparam_ros.diagnosis.findings import Quantity
 from semiparam_ros.diagnosis.regression import fit_model
 from semiparam_ros.diagnosis.residual.formula import Dependence, Formula, Summand
 from semiparam_ros.diagnosis.residual.structure import Structure
 from semiparam_ros.diagnosis.search.scoring import Trial
 from semiparam_ros.diagnosis.search.stepwise import Rival, Step
 from semiparam_ros.diagnosis.text_report import next_step, table_rows, text_report
-from semiparam_ros.effects import Effect, kinds
+from semiparam_ros.effects import Effect, effect_from_text, kinds
 from semiparam_ros.effects.base import Span
 from semiparam_ros.experiments.scoreboard import body_of, samples_of
 from semiparam_ros.report import diagnosis_figures as figures
@@ -71,6 +72,25 @@ def rubbing():
 def clean():
     """Nothing is missing."""
     return diagnosed(recording(), only=('viscous_drag',))
+
+
+def test_values_on_the_page_have_the_digits_that_their_deviations_leave(loaded):
+    """Of 1.00463 +- 0.00002 kg the page told 1.005."""
+    precise = [replace(loaded.findings[0], parameters={'mass': Quantity(1.00463, 2e-5, 'kg')})]
+    assert causes(replace(loaded, findings=precise))[0].parameters == [('mass', '1.004630', '0.000020', 'kg')]
+
+
+def test_what_was_found_again_is_not_said_to_be_dropped(rubbing):
+    others = [effect_from_text(text) for text in ('joint_spring@r_elbow', 'joint_spring@r_elbow')]
+    step = replace(rubbing.steps[0], dropped=(*rubbing.steps[0].added, *others))
+    (said,) = [line for line in text_report(replace(rubbing, steps=[step, *rubbing.steps[1:]])) if 'dropped' in line]
+    assert said.endswith('explain it better: joint_spring at r_elbow.')
+
+
+def test_an_error_that_rises_is_not_said_to_fall(drifting):
+    worse = replace(drifting, before=drifting.after, by_step=[drifting.before])
+    assert any('the normalised error rises from' in line for line in text_report(worse))
+    assert any('the normalised error falls from' in line for line in text_report(drifting))
 
 
 @pytest.fixture(params=['drifting', 'loaded', 'rubbing', 'clean'])

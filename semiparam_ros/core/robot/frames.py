@@ -65,6 +65,12 @@ def last_link(body: RigidBody) -> str:
     return list(loaded_links(body))[-1]
 
 
+def last_links(body: RigidBody) -> list[str]:
+    """The last of :func:`loaded_links` of each branch."""
+    parents = set((body.arm if body.distal is None else body.distal).parents)
+    return [link for link, number in loaded_links(body).items() if number + 1 not in parents]
+
+
 @lru_cache(maxsize=8)
 def observed_links(body: RigidBody) -> tuple[str, ...]:
     """Every link that the outputs feel, by name."""

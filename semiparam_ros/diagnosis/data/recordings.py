@@ -9,7 +9,7 @@ import numpy as np
 
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
-from semiparam_ros.core.types import Mask
+from semiparam_ros.core.types import Array, Mask
 from semiparam_ros.effects import Effect, kinds
 from semiparam_ros.effects.base import Span
 from semiparam_ros.errors import SemiparamError
@@ -49,6 +49,20 @@ def alone(samples: Samples, part: slice) -> Samples:
 def breaks_s(samples: Samples) -> list[float]:
     """[s] where recordings after the first begin."""
     return [(stamp - samples.origin) * 1e-9 for stamp in samples.breaks]
+
+
+def own_time(samples: Samples, names: Sequence[str], time_s: float) -> tuple[float, str]:
+    """A time [s] since the beginning of the recording that it is in, and words that name that one of several."""
+    breaks = breaks_s(samples)
+    number = int(np.searchsorted(breaks, time_s, side='right'))
+    return time_s - [0.0, *breaks][number], f' of {names[number]}' if breaks else ''
+
+
+def without_pauses(samples: Samples) -> Array:
+    """(N,) [s] times as if each recording began a second after the one before it."""
+    steps = np.diff(samples.time, prepend=samples.time[0])
+    steps[[part.start for part in samples.recordings[1:]]] = 1.0
+    return np.asarray(samples.time[0] + np.cumsum(steps)) if samples.breaks else samples.time
 
 
 def own_offsets(body: RigidBody, samples: Samples) -> list[Effect]:

@@ -37,20 +37,21 @@ def contacts(fit: Fit) -> list[Contact]:
     middle = _middle(fit)
     deviations = _deviations(fit)
     time = fit.samples.time
-    found = []
+    found, touched = list[Contact](), 0
     for start, end in _merged(ranges(deviations.max(axis=1) > config.contact_release), time, config.contact_pause_s):
         peaks = deviations[start:end].max(axis=0)
         if peaks.max() < config.contact_deviations or time[end - 1] - time[start] > config.longest_contact_s:
             continue
         felt = peaks > config.contact_release
-        left = fit.residual[start:end] - middle
+        left = (fit.residual[start:end] - middle) * fit.counted[start:end]
         largest = left[np.abs(left).argmax(axis=0), np.arange(left.shape[1])]
         channels = {name: float(value) for name, value, shows in zip(
             fit.body.output_names, largest, felt, strict=True) if shows}
-        joint = fit.body.output_names[int(np.flatnonzero(felt)[-1])] if fit.body.outputs == 'effort' else None
+        last = max(np.flatnonzero(felt).tolist(), key=lambda number: int(fit.body.output_rows[number]))
+        joint = fit.body.output_names[last] if fit.body.outputs == 'effort' else None
         found.append(Contact(float(time[start]), float(time[end - 1]), channels, joint))
-    total = sum(contact.end_s - contact.start_s for contact in found)
-    return found if total < config.most_contact_share * (time[-1] - time[0]) else []
+        touched += end - start
+    return found if touched < config.most_contact_share * len(time) else []
 
 
 def _without_bursts(fit: Fit) -> Fit:

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.linalg import eigh
 
 from semiparam_ros.core.samples import Samples
-from semiparam_ros.core.types import Array, Stamps
+from semiparam_ros.core.types import Array, Mask, Stamps
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
 
 Family = tuple[str, Callable[[], Array]]
@@ -88,9 +88,24 @@ def fold_labels(count: int, blocks: int, folds: int) -> Stamps:
     return np.arange(count) * blocks // max(count, 1) % folds
 
 
-def predictions(features: Array, targets: Array, config: DiagnosisConfig = DEFAULTS) -> Array:
-    """(M, n) each sample's target as the other folds predict it, each channel with the penalty that serves it best."""
+def predictions(features: Array, targets: Array, config: DiagnosisConfig = DEFAULTS,
+                counted: Mask | None = None) -> Array:
+    """(M, n) each sample's target as the other folds predict it, each channel with the penalty that serves it best.
+
+    :param counted: (M, n) targets that tell something, all unless given; the others are predicted as zero.
+    """
     labels = fold_labels(len(targets), config.structure_blocks, config.structure_folds)
+    if counted is None or counted.all():
+        return _predicted(features, targets, labels, config)
+    found, (masks, group) = np.zeros_like(targets), np.unique(counted, axis=1, return_inverse=True)
+    for number, mask in enumerate(masks.T):  # channels of which the same samples count
+        each = np.ix_(np.flatnonzero(mask), np.flatnonzero(group.ravel() == number))
+        found[each] = _predicted(features[mask], targets[each], labels[mask], config)
+    return found
+
+
+def _predicted(features: Array, targets: Array, labels: Stamps, config: DiagnosisConfig) -> Array:
+    """(M, n) the same of samples that all count, in the folds ``labels`` (M,)."""
     penalties = 10.0 ** np.array(config.penalty_exponents)
     size = np.sqrt(np.mean(features**2, axis=0) * features.shape[1]) + 1e-12
     scaled = features / size
@@ -109,12 +124,16 @@ def predictions(features: Array, targets: Array, config: DiagnosisConfig = DEFAU
     return np.asarray(np.where(losses.min(axis=0) < np.sum(targets**2, axis=0), chosen, 0.0))
 
 
-def explained(motion: StandardisedInputs, targets: Array, with_time: bool = True) -> tuple[Array, dict[str, float]]:
-    """(M, n) what all families together predict of unseen blocks, and the share of the targets that each adds."""
+def explained(motion: StandardisedInputs, targets: Array, with_time: bool = True,
+              counted: Mask | None = None) -> tuple[Array, dict[str, float]]:
+    """(M, n) what all families together predict of unseen blocks, and the share of the targets that each adds.
+
+    :param counted: (M, n) targets that tell something, all unless given; the others are zero.
+    """
     found, shares = np.zeros_like(targets), {}
     power = float(np.sum(targets**2)) + 1e-300
     for name, features in motion.families(with_time):
         before = targets - found
-        found = found + predictions(features(), before, motion.config)
+        found = found + predictions(features(), before, motion.config, counted)
         shares[name] = float(np.sum(before**2) - np.sum((targets - found) ** 2)) / power
     return found, shares

@@ -13,7 +13,7 @@ import numpy as np
 
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
-from semiparam_ros.core.types import Array
+from semiparam_ros.core.types import Array, Mask
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
 from semiparam_ros.diagnosis.residual.flexible import (
     StandardisedInputs,
@@ -32,17 +32,19 @@ class Dependence(NamedTuple):
     share: float
 
 
-def dependences(motion: StandardisedInputs, targets: Array, within_reach: float) -> tuple[Dependence, ...]:
+def dependences(motion: StandardisedInputs, targets: Array, within_reach: float,
+                counted: Mask | None = None) -> tuple[Dependence, ...]:
     """Variables of which a smooth function predicts targets (M, k), the most telling first.
 
     :param within_reach: share of the targets that a function of all variables predicts.
+    :param counted: (M, k) targets that tell something, all unless given; the others are zero.
     """
     config, power = motion.config, float(np.sum(targets**2)) + 1e-300
     chosen, found, reached = list[int](), list[Dependence](), 0.0
 
     def share(added: tuple[int, ...]) -> float:
         """Share of the squared targets that these and those chosen predict on unseen blocks."""
-        predicted = predictions(_features(motion, [*chosen, *added]), targets, config)
+        predicted = predictions(_features(motion, [*chosen, *added]), targets, config, counted)
         return 1.0 - float(np.sum((targets - predicted) ** 2)) / power
 
     while len(chosen) < config.most_variables:

@@ -15,6 +15,8 @@ at most 0.4 %; a bump or a resonance at half size keeps 23 % or more.
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
+from itertools import pairwise
 
 import numpy as np
 import scipy  # it loads scipy.signal, and all of scipy.stats for that, with the first use
@@ -24,7 +26,7 @@ from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array, Mask
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
-from semiparam_ros.diagnosis.data.outliers import typical_step
+from semiparam_ros.diagnosis.data.outliers import gaps, typical_step
 from semiparam_ros.diagnosis.data.splits import autocovariance
 from semiparam_ros.diagnosis.regression import Fit, refit_weights, refitted
 
@@ -33,13 +35,16 @@ WHITENING = 1e-9
 RANK = 1e-7
 
 
-def noise_floor(residual: Array) -> Array:
+def noise_floor(residual: Array, counted: Mask) -> Array:
     """(n,) standard deviation of what changes from sample to sample without any pattern.
 
     Third differences cancel whatever varies slowly and keep white noise with a gain of sqrt(20) (von Neumann 1941).
+
+    :param counted: (M, n) outputs that tell something: where a joint comes to rest its effort jumps.
     """
-    differences = np.diff(residual, 3, axis=0)
-    return np.asarray(np.sqrt(np.mean(differences**2, axis=0) / 20.0))
+    whole = np.lib.stride_tricks.sliding_window_view(counted, 4, axis=0).all(axis=-1)
+    squares = np.diff(residual, 3, axis=0) ** 2 * whole
+    return np.asarray(np.sqrt(squares.sum(axis=0) / np.maximum(whole.sum(axis=0), 1) / 20.0))
 
 
 def coloured_noise(residual: Array, count: int, seed: int = 0, config: DiagnosisConfig = DEFAULTS) -> Array:
@@ -64,28 +69,39 @@ def _autoregression(values: Array, order: int) -> tuple[Array, float]:
 
 
 def without_input_errors(body: RigidBody, samples: Samples, residual: Array, train_mask: Mask, scale: Array,
-                         config: DiagnosisConfig = DEFAULTS) -> Array:
+                         config: DiagnosisConfig = DEFAULTS, counted: Mask | None = None) -> Array:
     """(N, n) residual less all that regressors at differently smoothed inputs explain of it.
 
     :param train_mask: (N,) samples that fit. :param scale: (n,) weight of channel k is 1 / scale[k]^2.
+    :param counted: (N, n) outputs that tell something; all unless given.
     """
     if train_mask.sum() < 4 * max(config.resmoothing_windows):
         return residual
-    others = [body.regressors(resmoothed(samples, window, config.resmoothing_degree))
-              for window in config.resmoothing_windows]
+    others = [body.regressors(resmoothed(samples, window, config)) for window in config.resmoothing_windows]
     columns = np.concatenate([body.regressors(samples), *others], axis=2)
-    rows = (columns[train_mask] / scale[:, None]).reshape(-1, columns.shape[2])
+    use = np.broadcast_to(True, residual.shape) if counted is None else counted
+    use = use & train_mask[:, None]
+    rows, left = (columns / scale[:, None])[use], (residual / scale)[use]
     size = np.linalg.norm(rows, axis=0) + 1e-12
-    change = np.linalg.lstsq(rows / size, (residual[train_mask] / scale).ravel(), rcond=RANK)[0] / size
+    change = np.linalg.lstsq(rows / size, left, rcond=RANK)[0] / size
     return np.asarray(residual - columns @ change)
 
 
-def resmoothed(samples: Samples, window: int, degree: int) -> Samples:
-    """The motion by a moving polynomial over ``window`` samples; accelerations are the derivative of velocities."""
-    step, smooth = typical_step(samples.time), scipy.signal.savgol_filter
-    return replace(samples, position=smooth(samples.position, window, degree, axis=0),
-                   velocity=smooth(samples.velocity, window, degree, axis=0),
-                   acceleration=smooth(samples.velocity, window, degree, deriv=1, delta=step, axis=0))
+def resmoothed(samples: Samples, window: int, config: DiagnosisConfig = DEFAULTS) -> Samples:
+    """The motion by a moving polynomial over ``window`` samples; accelerations are the derivative of velocities.
+
+    Each stretch between gaps and breaks by itself; of one that is shorter than the window, the motion as it is.
+    """
+    edges = {part.start for part in samples.recordings} | {gap.before + 1 for gap in gaps(samples, config)}
+    motion = [samples.position.copy(), samples.velocity.copy(), samples.acceleration.copy()]
+    for start, end in pairwise(sorted({*edges, len(samples)})):
+        if end - start >= window:
+            smooth = partial(scipy.signal.savgol_filter, window_length=window, polyorder=config.resmoothing_degree,
+                             delta=typical_step(samples.time[start:end]), axis=0)
+            for values, (source, order) in zip(
+                    motion, ((samples.position, 0), (samples.velocity, 0), (samples.velocity, 1)), strict=True):
+                values[start:end] = smooth(source[start:end], deriv=order)
+    return replace(samples, position=motion[0], velocity=motion[1], acceleration=motion[2])
 
 
 def inertia_columns(body: RigidBody, samples: Samples, psi: Array) -> Array:
@@ -111,7 +127,8 @@ def with_error_columns(fit: Fit) -> Fit:
     """
     body, inputs = fit.corrected
     inertia = inertia_columns(body, inputs, fit.rigid_part)
-    columns = [inertia * errors[:, None] for errors in _differences(inputs, fit.config)]
+    others = (resmoothed(inputs, window, fit.config) for window in fit.config.resmoothing_windows)
+    columns = [inertia * (other.acceleration - inputs.acceleration)[:, None] for other in others]
     return refit_weights(refitted(fit, fit.effects, np.concatenate(columns, axis=2), fit.counted))
 
 
@@ -120,15 +137,3 @@ def without_error_columns(fit: Fit) -> Fit:
     if fit.nuisance is None:
         return fit
     return refit_weights(refitted(fit, fit.effects, None, fit.counted))
-
-
-def _differences(samples: Samples, config: DiagnosisConfig) -> Array:
-    """(windows, N, n_joints) accelerations smoothed over each window of samples, less those that there are."""
-    found = np.zeros((len(config.resmoothing_windows), *samples.acceleration.shape))
-    for part in samples.recordings:
-        alone = replace(samples[part], breaks=())
-        for number, window in enumerate(config.resmoothing_windows):
-            if len(alone) >= window:
-                other = resmoothed(alone, window, config.resmoothing_degree)
-                found[number, part] = other.acceleration - alone.acceleration
-    return found

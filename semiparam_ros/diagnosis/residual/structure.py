@@ -64,52 +64,54 @@ def remaining_structure(body: RigidBody, samples: Samples, residual: Array, trai
     :param counted: (N, n) outputs that tell something; all unless given.
     """
     counted = np.ones(residual.shape, dtype=bool) if counted is None else counted
-    residual = residual * counted
     rows = samples_to_look_at(train_mask, config)
     if len(rows) < config.structure_least_samples:
         return Structure(share=0.0, channel_shares=np.zeros(body.n_outputs), significant=False)
     motion = StandardisedInputs(body.joints, samples[rows], config)
-    guarded = (without_input_errors(body, samples, residual, train_mask, scale, config) * counted)[rows] / scale
-    found, families = explained(motion, guarded)
+    guarded = without_input_errors(body, samples, residual, train_mask, scale, config, counted)[rows] / scale
+    counted = counted[rows]
+    guarded = guarded * counted
+    found, families = explained(motion, guarded, counted=counted)
     gains, power = np.sum(guarded**2 - (guarded - found) ** 2, axis=0), np.sum(guarded**2, axis=0) + 1e-300
     share, shares = float(gains.sum() / power.sum()), gains / power
     together, affected = share > config.structure_share, shares > config.channel_share
     if together or affected.any():
-        beyond, beyond_in = _beyond_chance(motion, guarded)
+        beyond, beyond_in = _beyond_chance(motion, guarded, counted)
         together, affected = together and beyond, affected & beyond_in
     if not together and not affected.any():
         return Structure(share=share, channel_shares=shares, significant=False, families=families)
     if not affected.any():
         affected = shares >= shares.max()
-    return _described(body, samples[rows], motion, residual[rows], scale, affected,
+    return _described(body, samples[rows], motion, residual[rows] * counted, scale, counted, affected,
                       Structure(share=share, channel_shares=shares, significant=True, families=families))
 
 
 def _described(body: RigidBody, samples: Samples, motion: StandardisedInputs, residual: Array,
-               scale: Array, affected: Array, structure: Structure) -> Structure:
+               scale: Array, counted: Mask, affected: Array, structure: Structure) -> Structure:
     """The structure with its channels, its variables and its formulas."""
     numbers = np.flatnonzero(affected)
-    variables = dependences(motion, (residual / scale)[:, numbers], float(structure.channel_shares[numbers].mean()))
+    variables = dependences(motion, (residual / scale)[:, numbers], float(structure.channel_shares[numbers].mean()),
+                            counted[:, numbers])
     names = [each.name for each in variables][:motion.config.most_variables]
-    formulas = [find_formula(names, body, samples, residual[:, channel], int(channel), motion.config)
-                for channel in numbers]
+    formulas = [find_formula(names, body, samples[use], residual[use, channel], int(channel), motion.config)
+                for channel, use in zip(numbers, counted.T[numbers], strict=True)]
     return replace(structure, channels=tuple(body.output_names[k] for k in numbers), variables=variables,
                    formulas=tuple(formula for formula in formulas if formula is not None))
 
 
-def _beyond_chance(motion: StandardisedInputs, residual: Array) -> tuple[bool, Mask]:
+def _beyond_chance(motion: StandardisedInputs, residual: Array, counted: Mask) -> tuple[bool, Mask]:
     """Whether more is explained than of noise of the residual's colour: in all channels together, and (n,) in each.
 
     Asked twice, for time takes what is slow: once with it, and once of the motion alone.
     """
     config = motion.config
     noise = coloured_noise(residual, config.chance_draws, config=config)
-    everything = np.concatenate([residual[None], noise])
+    everything = np.concatenate([residual[None], noise]) * counted
     side_by_side = np.moveaxis(everything, 0, 1).reshape(len(residual), -1)
     power = (everything**2).sum(axis=1) + 1e-300
     beyond, beyond_in = False, np.zeros(residual.shape[1], dtype=bool)
     for with_time in (True, False):
-        found, _ = explained(motion, side_by_side, with_time)
+        found, _ = explained(motion, side_by_side, with_time, np.tile(counted, len(everything)))
         gains = (side_by_side**2 - (side_by_side - found) ** 2).sum(axis=0).reshape(power.shape)
         beyond = beyond or bool(_stands_out(gains.sum(axis=1) / power.sum(axis=1), config.beyond_chance))
         beyond_in = beyond_in | _stands_out(gains / power, config.beyond_chance)

@@ -20,6 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
+from semiparam_ros.core.columns import CoupledColumns, Memories
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array, Mask, Stamps
@@ -34,6 +35,7 @@ from semiparam_ros.diagnosis.setup.prior_misfit import (
     nuisances,
     share_left,
 )
+from semiparam_ros.effects import Effect
 from semiparam_ros.errors import listed
 
 MOTION = ('position', 'velocity', 'acceleration')
@@ -62,11 +64,13 @@ class SetupProblem(NamedTuple):
 
 
 def setup_problems(body: RigidBody, samples: Samples, config: DiagnosisConfig = DEFAULTS,
-                   touched: Sequence[tuple[float, float]] = ()) -> list[SetupProblem]:
+                   touched: Sequence[tuple[float, float]] = (),
+                   effects: Sequence[Effect] = ()) -> list[SetupProblem]:
     """What is wrong with the recording or with its declaration, each with its remedy; empty when all is well.
 
     :param samples: as recorded; ``config.setup_samples`` of them, spread over the recording, are looked at.
     :param touched: [s] between which the robot is known to have been touched: outputs then tell nothing.
+    :param effects: those that are declared; what their values do to the described robot is no mistake.
     """
     if len(samples) < config.least_working_samples or np.all(
             np.ptp(samples.position, axis=0) < config.slow_range):
@@ -74,7 +78,7 @@ def setup_problems(body: RigidBody, samples: Samples, config: DiagnosisConfig = 
     missing = _constant(body, samples) or _mostly_zero(body, samples, config)
     if missing:
         return missing
-    usable = untouched(samples, touched, config)
+    usable, samples = untouched(samples, touched, config), _without_declared(body, samples, effects, config)
     found, right = motion_problems(body, samples, usable, config)
     if any(problem.what == 'clock' for problem in found):
         return found
@@ -84,6 +88,20 @@ def setup_problems(body: RigidBody, samples: Samples, config: DiagnosisConfig = 
                else _smoothed(usable, right, config))
     layout = layout_problems(body, at_hand, config)
     return found + (_confirmed(body, usable, right, layout, config) if layout else [])
+
+
+def _without_declared(body: RigidBody, samples: Samples, effects: Sequence[Effect],
+                      config: DiagnosisConfig) -> Samples:
+    """The samples with outputs less what declared values change about those of the described robot."""
+    coupled, changes = CoupledColumns(body, effects), list[Array]()
+    if coupled.only_add and not coupled.known.any():
+        return samples
+    memory: Memories = None
+    for start in range(0, len(samples), config.most_working_samples):  # all columns of more take too much room
+        part = samples[start:start + config.most_working_samples]
+        columns, memory = coupled.batch(part, memory)
+        changes.append(columns @ coupled.prior_mean - body.outputs_of(part, body.base_parameters))
+    return replace(samples, outputs=samples.outputs - np.concatenate(changes))
 
 
 def _spread(usable: Stamps, config: DiagnosisConfig) -> Stamps:

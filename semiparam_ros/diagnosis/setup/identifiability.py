@@ -11,13 +11,18 @@ from semiparam_ros.core.robot.size import inertial_scale
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
 from semiparam_ros.diagnosis.data.outliers import gaps
+from semiparam_ros.diagnosis.data.recordings import own_time
 
 MOST_GAPS_NAMED = 3
 
 
-def unidentifiable(body: RigidBody, samples: Samples, config: DiagnosisConfig = DEFAULTS) -> list[str]:
-    """Sentences about joints that do not move or all move as one, gaps, and bodies whose inertias do not show."""
-    return (_still(body, samples, config) + _gaps(samples, config) + _together(samples, config)
+def unidentifiable(body: RigidBody, samples: Samples, config: DiagnosisConfig = DEFAULTS,
+                   names: Sequence[str] = ()) -> list[str]:
+    """Sentences about joints that do not move or all move as one, gaps, and bodies whose inertias do not show.
+
+    :param names: those of the recordings, where several are one.
+    """
+    return (_still(body, samples, config) + _gaps(samples, names, config) + _together(samples, config)
             + _unseen(body, samples, config))
 
 
@@ -39,7 +44,7 @@ def _together(samples: Samples, config: DiagnosisConfig) -> list[str]:
     """Joints that all follow one sine: position and velocity of that one are all directions of their motion."""
     moving = np.ptp(samples.position, axis=0) > config.slow_range
     position = samples.position[:, moving]
-    sizes = np.linalg.svd(position - position.mean(axis=0), compute_uv=False)
+    sizes = np.linalg.svd((position - position.mean(axis=0)) / position.std(axis=0), compute_uv=False)
     directions, count = int(np.sum(sizes > config.direction_share * sizes.max(initial=0.0))), int(moving.sum())
     if directions > 2 or count <= directions + 1:
         return []
@@ -48,12 +53,14 @@ def _together(samples: Samples, config: DiagnosisConfig) -> list[str]:
             'like what another lacks. Record motion in which each joint has frequencies of its own.']
 
 
-def _gaps(samples: Samples, config: DiagnosisConfig) -> list[str]:
+def _gaps(samples: Samples, names: Sequence[str], config: DiagnosisConfig) -> list[str]:
     found = gaps(samples, config)
     if not found:
         return []
     longest = sorted(sorted(found, key=lambda gap: -gap.length_s)[:MOST_GAPS_NAMED])
-    places = listed([f'{gap.length_s:.2f} s from {gap.start_s:.2f} s on' for gap in longest])
+    starts = [own_time(samples, names, gap.start_s) for gap in longest]
+    places = listed([f'{gap.length_s:.2f} s from {start_s:.2f} s{of} on'
+                     for gap, (start_s, of) in zip(longest, starts, strict=True)])
     count = '1 gap' if len(found) == 1 else f'{len(found)} gaps'
     which = 'the longest are' if len(found) > MOST_GAPS_NAMED else 'namely'
     return [f'The samples looked at have {count} in time, {which} {places}; those beside them are left out.']
