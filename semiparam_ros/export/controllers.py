@@ -149,13 +149,13 @@ def _curve(values: Mapping[str, float], top_speed: float) -> Array:
     if top_speed == 0.0 or not friction.any():
         return np.zeros(2)
 
-    def logistic(velocity: Array, fp1: float, fp2: float) -> Array:
-        return 0.5 * fp1 * np.tanh(0.5 * fp2 * velocity)
+    def logistic(share: Array, height: float, steepness: float) -> Array:
+        return 0.5 * height * np.tanh(0.5 * steepness * share)
 
-    start = 2.0 * friction[-1], STEEPNESS / top_speed
-    bounds = [0.0, SHALLOWEST / top_speed], [np.inf, STEEPEST / top_speed]
-    found, _ = curve_fit(logistic, speed, friction, p0=start, bounds=bounds)
-    return np.asarray(found)
+    # In units of the largest: the fit stops at absolute tolerances, at once where efforts are small.
+    found, _ = curve_fit(logistic, speed / top_speed, friction / friction[-1], p0=(2.0, STEEPNESS),
+                         bounds=([0.0, SHALLOWEST], [np.inf, STEEPEST]))
+    return np.asarray(found * (friction[-1], 1.0 / top_speed))
 
 
 def _row(values: Sequence[float] | Array) -> str:

@@ -45,12 +45,13 @@ def test_friction_curves_are_those_of_the_joints(estimate):
     assert np.allclose(curve[:, 3], 0.2, atol=0.02)
 
 
-def test_a_joint_with_damping_alone_has_a_curve_that_is_a_line(estimate):
-    estimate.mean[estimate.columns.blocks['friction']] = [0.5, 1e-3, 0.0, 0.0, *[0.0] * 8]
+@pytest.mark.parametrize('damping', [1e-3, 1e-7])
+def test_a_joint_with_damping_alone_has_a_curve_that_is_a_line(estimate, damping):
+    estimate.mean[estimate.columns.blocks['friction']] = [0.5, damping, 0.0, 0.0, *[0.0] * 8]
     vectors = yaml.safe_load(crisp_friction(identify(estimate, described_links(URDF)), ''))['friction']
     fp1, fp2 = (np.array(vectors[name])[:2] for name in ('fp1', 'fp2'))
     velocity = np.linspace(0.1, SPEED, 20)[:, None]
-    np.testing.assert_allclose(0.5 * fp1 * np.tanh(0.5 * fp2 * velocity), velocity * [0.5, 1e-3], rtol=3e-3)
+    np.testing.assert_allclose(0.5 * fp1 * np.tanh(0.5 * fp2 * velocity), velocity * [0.5, damping], rtol=3e-3)
 
 
 def test_friction_of_some_joints_stands_at_their_places(estimate):
