@@ -32,7 +32,7 @@ def text_report(diagnosis: Diagnosis) -> list[str]:
         effect = finding.effect
         lines.append(f'{place(effect.kind, effect.where)}: {effect.sentence}'
                      f'{when(diagnosis, effect)} ({_values(finding)}; '
-                     f'log evidence +{finding.log_evidence_gain:.0f}).')
+                     f'log evidence {finding.log_evidence_gain:+.0f}).')
         doubt = effect.doubt(diagnosis.final.body, diagnosis.final.samples)
         lines += [f'  {doubt}'] if doubt else []
         lines += _rivals(finding, diagnosis.config.better_odds)
@@ -146,7 +146,7 @@ def _remark(diagnosis: Diagnosis, finding: Finding) -> list[str]:
     rivals = _with_odds(finding.rivals)
     return [f'{place(finding.effect.kind, finding.effect.where)}: {finding.effect.sentence}{since}.',
             *(f'  {name}: {quantity_text(quantity)}' for name, quantity in finding.parameters.items()),
-            f'  Rests on: log evidence +{finding.log_evidence_gain:.0f}; round {finding.round_number} changed the '
+            f'  Rests on: log evidence {finding.log_evidence_gain:+.0f}; round {finding.round_number} changed the '
             f'held-out normalised error from {before:.4f} to {after:.4f}.',
             *([f'  Cannot be told for certain from {rivals}.'] if rivals else [])]
 
