@@ -171,7 +171,7 @@ def _evaluate_variants(args: argparse.Namespace, settings: Settings, diagnosis: 
 
 def show(diagnosis: Diagnosis, variants: dict[str, VariantErrors], written: str = '') -> None:
     """Print the report. :param written: the parameter file that declares what was found; '' for none."""
-    from semiparam_ros.diagnosis.text_report import next_step, table_rows, text_report
+    from semiparam_ros.diagnosis.text_report import error_text, next_step, table_rows, text_report
     from semiparam_ros.report.diagnosis_page import variant_rows
 
     if diagnosis.findings:
@@ -192,7 +192,7 @@ def show(diagnosis: Diagnosis, variants: dict[str, VariantErrors], written: str 
                diagnosis.after.nmse, diagnosis.before.rmse, diagnosis.after.rmse, diagnosis.noise_floor_rmse,
                strict=True)
     for name, unit, *figures, floor in rows:
-        table.add_row(f'{name} [{unit}]', *(f'{value:.4f}' for value in figures), f'{floor:.4f}')
+        table.add_row(f'{name} [{unit}]', *map(error_text, figures), error_text(floor))
     options.output.print(table)
     for name, before, after, lower in variant_rows(variants):
         options.tell(f'{name}: held-out nMSE {before:.5f} without the effects, {after:.5f} with '

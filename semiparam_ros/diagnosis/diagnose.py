@@ -348,7 +348,7 @@ def check(samples: Samples, body: RigidBody, config: DiagnosisConfig) -> None:
         raise SemiparamError(f'the recording holds {len(samples)} complete samples; a diagnosis needs at least '
                              f'{config.least_samples}.')
     if np.all(np.ptp(samples.position, axis=0) < config.still_range):
-        raise SemiparamError(f'no joint moves by more than {config.still_range} rad in the recording; a diagnosis '
+        raise SemiparamError(f'no joint moves by more than {config.still_range} rad or m in the recording; a diagnosis '
                              f'needs motion of {", ".join(body.joints)}.')
 
 

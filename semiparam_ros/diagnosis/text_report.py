@@ -32,7 +32,7 @@ def text_report(diagnosis: Diagnosis) -> list[str]:
         effect = finding.effect
         lines.append(f'{place(effect.kind, effect.where)}: {effect.sentence}'
                      f'{when(diagnosis, effect)} ({_values(finding)}; '
-                     f'log evidence +{finding.log_evidence_gain:.0f}).')
+                     f'log evidence {finding.log_evidence_gain:+.0f}).')
         doubt = effect.doubt(diagnosis.final.body, diagnosis.final.samples)
         lines += [f'  {doubt}'] if doubt else []
         lines += _rivals(finding, diagnosis.config.better_odds)
@@ -146,8 +146,8 @@ def _remark(diagnosis: Diagnosis, finding: Finding) -> list[str]:
     rivals = _with_odds(finding.rivals)
     return [f'{place(finding.effect.kind, finding.effect.where)}: {finding.effect.sentence}{since}.',
             *(f'  {name}: {quantity_text(quantity)}' for name, quantity in finding.parameters.items()),
-            f'  Rests on: log evidence +{finding.log_evidence_gain:.0f}; round {finding.round_number} changed the '
-            f'held-out normalised error from {before:.4f} to {after:.4f}.',
+            f'  Rests on: log evidence {finding.log_evidence_gain:+.0f}; round {finding.round_number} changed the '
+            f'held-out normalised error from {error_text(before)} to {error_text(after)}.',
             *([f'  Cannot be told for certain from {rivals}.'] if rivals else [])]
 
 
@@ -243,13 +243,18 @@ def _likely(odds: float) -> str:
     return f'{float(f"{ratio:.2g}"):.7g} times {"more" if odds > 1.0 else "less"} likely'
 
 
+def error_text(value: float) -> str:
+    """An error to four decimals, and one that would be zero then to a digit."""
+    return f'{value:.4f}' if round(value, 4) or not value else f'{value:.0e}'
+
+
 def _gain(diagnosis: Diagnosis) -> str:
     before, after = diagnosis.before, diagnosis.after
     low, high = after.interval()
     verb = 'falls' if after.nmse.mean() < before.nmse.mean() else 'rises'
-    said = (f'On held-out data the normalised error {verb} from {before.nmse.mean():.4f} to {after.nmse.mean():.4f} '
-            f'(95 % interval {low:.4f} to {high:.4f}).')
+    said = (f'On held-out data the normalised error {verb} from {error_text(before.nmse.mean())} to '
+            f'{error_text(after.nmse.mean())} (95 % interval {error_text(low)} to {error_text(high)}).')
     if diagnosis.everything is diagnosis.final:
         return said
-    fitted = diagnosis.on_all_samples.nmse.mean()
-    return f'{said} Times and values come from a last fit to all samples, which leaves {fitted:.4f} of them.'
+    fitted = error_text(diagnosis.on_all_samples.nmse.mean())
+    return f'{said} Times and values come from a last fit to all samples, which leaves {fitted} of them.'

@@ -370,8 +370,9 @@ def against_unexplained(fit: Fit, structure: Structure) -> tuple[Figure, str]:
         panels = np.atleast_1d(figure.subplots(1, len(chosen), sharey=True))
         for panel, name in zip(panels, chosen, strict=True):
             role, _, joint = name.partition('_')
-            label = _quantity(fit.body, ROLES[role][0], joint) if joint else 'time [s]'
-            variable = Variable(label, variable_values(name, fit.body, fit.samples)[use])
+            variable = _time(fit) if not joint else Variable(
+                _quantity(fit.body, ROLES[role][0], joint), variable_values(name, fit.body, fit.samples))
+            variable = variable._replace(values=variable.values[use])
             _cloud(panel, variable, residual, AFTER)
             for label, rows, colour in _periods(time, 'time' in names and name != 'time'):
                 _course(panel, Variable(variable.label, variable.values[rows]), residual[rows], label, colour)

@@ -16,7 +16,7 @@ from semiparam_ros.diagnosis.residual.formula import Dependence, Formula, Summan
 from semiparam_ros.diagnosis.residual.structure import Structure
 from semiparam_ros.diagnosis.search.scoring import Trial
 from semiparam_ros.diagnosis.search.stepwise import Rival, Step
-from semiparam_ros.diagnosis.text_report import next_step, table_rows, text_report
+from semiparam_ros.diagnosis.text_report import error_text, next_step, table_rows, text_report
 from semiparam_ros.effects import Effect, effect_from_text, kinds
 from semiparam_ros.effects.base import Span
 from semiparam_ros.experiments.scoreboard import body_of, samples_of
@@ -85,6 +85,10 @@ def test_what_was_found_again_is_not_said_to_be_dropped(rubbing):
     step = replace(rubbing.steps[0], dropped=(*rubbing.steps[0].added, *others))
     (said,) = [line for line in text_report(replace(rubbing, steps=[step, *rubbing.steps[1:]])) if 'dropped' in line]
     assert said.endswith('explain it better: joint_spring at r_elbow.')
+
+
+def test_a_small_error_is_not_told_as_none():
+    assert [error_text(value) for value in (0.0, 0.02434, 0.00006, 0.00004)] == ['0.0000', '0.0243', '0.0001', '4e-05']
 
 
 def test_an_error_that_rises_is_not_said_to_fall(drifting):
