@@ -66,6 +66,7 @@ def _beside_function(fits: Sequence[Fit]) -> list[Array]:
     look at, zero where an output does not count."""
     fit = fits[0]
     rows = samples_to_look_at(fit.train_mask, fit.config)
-    residuals = [(each.residual * each.counted)[rows] for each in fits]
-    found, _ = explained(StandardisedInputs(fit.body.joints, fit.samples[rows], fit.config), np.hstack(residuals))
+    counted, motion = fit.counted[rows], StandardisedInputs(fit.body.joints, fit.samples[rows], fit.config)
+    residuals = [each.residual[rows] * counted for each in fits]
+    found, _ = explained(motion, np.hstack(residuals), counted=np.tile(counted, len(fits)))
     return [residual - part for residual, part in zip(residuals, np.split(found, len(fits), axis=1), strict=True)]
