@@ -91,7 +91,7 @@ def plain_error(found: Diagnosis) -> np.ndarray:
     first, other = found.first, found.elsewhere
     fitted = plain_model(first.body, first.samples, first.train_mask[:, None] & first.counted)
     if other is None:
-        return fitted.nmse(first.samples, found.held_out[:, None] & first.counted)
+        return fitted.nmse(first.samples, found.judged[:, None] & first.counted)
     return fitted.nmse(other.samples, other.valid[:, None] & counted_outputs(first.body, other.samples))
 
 

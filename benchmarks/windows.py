@@ -326,7 +326,7 @@ def errors(found: Diagnosis, other: Samples | None) -> dict[str, float]:
     first = found.first
     plain = plain_model(first.body, first.samples, first.train_mask[:, None] & first.counted)
     if other is None:
-        return {'plain': float(plain.nmse(first.samples, found.held_out[:, None] & first.counted).mean()),
+        return {'plain': float(plain.nmse(first.samples, found.judged[:, None] & first.counted).mean()),
                 'before': float(found.before.nmse.mean()), 'after': float(found.after.nmse.mean())}
     there, valid = found.inputs.prepare(other), found.inputs.mask(~excluded(other))
     judged = evaluate_there(found.final, there, valid)

@@ -60,11 +60,12 @@ class Elsewhere(NamedTuple):
 class Diagnosis:
     """What was found, and everything needed to show it.
 
-    ``before``, ``after`` and ``by_step`` (the model after each step) judge on the samples ``held_out`` (N,) of the
-    recording, or on the recording ``elsewhere``. ``everything`` is the final model fitted to all samples after that:
-    what is told of the effects and declared comes from it, and the ``estimates`` are its values with their deviations;
-    where that gives an effect values that it cannot have, it is the final model itself. ``imitated``: a function
-    that knows nothing of robots explains more than all effects that were found; those that hold beside it stay.
+    ``before``, ``after`` and ``by_step`` (the model after each step) judge on the samples ``judged`` (N,) of those
+    ``held_out`` (N,) of the recording, or on the recording ``elsewhere``. ``everything`` is the final model fitted to
+    all samples after that: what is told of the effects and declared comes from it, and the ``estimates`` are its values
+    with their deviations; where that gives an effect values that it cannot have, it is the final model itself.
+    ``imitated``: a function that knows nothing of robots explains more than all effects that were found; those that
+    hold beside it stay.
     """
 
     config: DiagnosisConfig
@@ -76,6 +77,7 @@ class Diagnosis:
     everything: Fit
     estimates: Estimates
     held_out: Mask
+    judged: Mask
     before: Evaluation
     by_step: list[Evaluation]
     inputs: Inputs
@@ -181,7 +183,7 @@ class Diagnosis:
 
     def _held_out(self) -> dict[str, object]:
         """Sample numbers of the recording that judged, half-open."""
-        inputs, mask = (self.inputs, self.held_out) if self.elsewhere is None else self.elsewhere[2:]
+        inputs, mask = (self.inputs, self.judged) if self.elsewhere is None else self.elsewhere[2:]
         parts = [[inputs.factor * edge for edge in part] for part in ranges(mask)]
         return {'recording': self.elsewhere.name if self.elsewhere else None, 'ranges': parts}
 
@@ -217,7 +219,8 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
         raise SemiparamError(clock[0] if clock else str(error)) from error
     steps, setup, imitated = _searched(start, considered(body, only), suspected, progress, bool(only))
     *models, final = [start.first, *(step.after for step in steps)]
-    before, *by_step = (_judged(fit, start) for fit in (*models, final))
+    judged = _decided(final, steps, start)
+    before, *by_step = (_evaluated(fit, start, judged) for fit in (*models, final))
     progress('what is left', 0.0)
     structure, fast = (None, []) if setup else _left(final, samples, start)
     everything, told = _told(final, steps, samples, start, other is None)
@@ -228,9 +231,9 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
     return Diagnosis(
         config=config, verdict=verdict(start.first, final, structure, imitated or bool(setup)), imitated=imitated,
         findings=found, steps=steps, first=start.first, final=final, everything=everything, estimates=told,
-        held_out=start.held_out, before=before, by_step=by_step, inputs=start.inputs, structure=structure, setup=setup,
-        notes=[*fast, *notes], recorded=start.recorded, elsewhere=start.elsewhere, names=names,
-        contacts=touches)
+        held_out=start.held_out, judged=judged, before=before, by_step=by_step, inputs=start.inputs,
+        structure=structure, setup=setup, notes=[*fast, *notes], recorded=start.recorded, elsewhere=start.elsewhere,
+        names=names, contacts=touches)
 
 
 def _suspected(body: RigidBody, samples: Samples, effects: Sequence[Effect], config: DiagnosisConfig,
@@ -280,9 +283,21 @@ def _first_model(body: RigidBody, samples: Samples, effects: Sequence[Effect],
                   elsewhere)
 
 
-def _judged(fit: Fit, start: _Start) -> Evaluation:
+def _decided(final: Fit, steps: list[Step], start: _Start) -> Mask:
+    """(M,) the held-out samples of which the final model can say what acts on them: not those between samples that
+    fitted where an effect began or ended, for nothing told when. All of them where none is left."""
+    decided, fitting = start.held_out.copy(), np.flatnonzero(start.fitting)
+    for effect in (final.effects[index] for index, _ in places_in(final, steps)):
+        for time_s in effect.span.values.values():
+            after = int(np.searchsorted(final.samples.time[fitting], time_s))
+            if 0 < after < len(fitting):
+                decided[fitting[after - 1]:fitting[after]] = False
+    return decided if decided.any() else start.held_out
+
+
+def _evaluated(fit: Fit, start: _Start, judged: Mask) -> Evaluation:
     if start.elsewhere is None:
-        return evaluate_here(fit, start.held_out)
+        return evaluate_here(fit, judged)
     return evaluate_there(fit, start.elsewhere.samples, start.elsewhere.valid)
 
 

@@ -254,6 +254,9 @@ def _gain(diagnosis: Diagnosis) -> str:
     verb = 'falls' if after.nmse.mean() < before.nmse.mean() else 'rises'
     said = (f'On held-out data the normalised error {verb} from {error_text(before.nmse.mean())} to '
             f'{error_text(after.nmse.mean())} (95 % interval {error_text(low)} to {error_text(high)}).')
+    left_out = int((diagnosis.held_out & ~diagnosis.judged).sum())
+    if left_out and diagnosis.elsewhere is None:
+        said += f' The {left_out} held-out samples about a start or an end do not judge: nothing told when it was.'
     if diagnosis.everything is diagnosis.final:
         return said
     fitted = error_text(diagnosis.on_all_samples.nmse.mean())

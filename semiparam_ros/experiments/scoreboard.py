@@ -223,7 +223,7 @@ def removed_share(found: Diagnosis, twin: Samples) -> float:
     first = found.first
     floor = evaluate_here(fit_model(first.body, found.inputs.prepare(twin), first.effects, first.train_mask,
                                     first.scale, first.config, first.counted),
-                          found.held_out)
+                          found.judged)
     variance = found.before.outputs.var(axis=0)
     before, after, least = (float(np.sum(evaluation.rmse**2 / variance))
                             for evaluation in (found.before, found.after, floor))

@@ -262,7 +262,7 @@ def _facts(diagnosis: Diagnosis) -> list[tuple[str, str]]:
     mean = f', each the mean of {diagnosis.inputs.factor} that were recorded' if diagnosis.inputs.factor > 1 else ''
     step = float(np.median(np.diff(samples.time)))
     judged = diagnosis.elsewhere.name if diagnosis.elsewhere else \
-        f'{int(diagnosis.held_out.sum())} samples of the same recording'
+        f'{int(diagnosis.judged.sum())} samples of the same recording'
     return [('Recording', f'{len(samples)} samples over {samples.time[-1] - samples.time[0]:.1f} s, one in '
                           f'{1000.0 * step:.3g} ms{mean}; {int(train_mask.sum())} of them fitted.'),
             ('Judged on', f'{judged}. Nothing of it was used to find, to fit or to rank.'),

@@ -352,10 +352,12 @@ def test_a_start_inside_a_held_out_block_is_found_to_the_sample(kind, start_s, s
         found.recorded.samples.origin + found.findings[0].effect.start_s * 1e9, abs=1000)
     assert found.everything.train_mask.sum() == found.final.train_mask.sum() + found.held_out.sum()
     assert not found.contacts, 'what began a little earlier or later than the judged model has it is no touch'
-    assert found.on_all_samples.nmse.mean() < found.after.nmse.mean()
+    assert not found.judged[at - 10:at + 10].any() and found.judged.any()
+    assert found.after.nmse.mean() < 1.5 * found.on_all_samples.nmse.mean() < found.before.nmse.mean(), 'it rose'
     told = found.as_dict()
     assert told['all_samples']['nmse_mean'] == pytest.approx(found.on_all_samples.nmse.mean())
-    assert 'a last fit to all samples' in ' '.join(text_report(found))
+    said = ' '.join(text_report(found))
+    assert 'a last fit to all samples' in said and 'do not judge: nothing told when it was' in said
 
 
 def test_friction_is_named_with_its_joint_and_coefficient(friction):
@@ -457,7 +459,7 @@ def test_the_report_is_json_without_nan_and_has_every_key(name, request, tmp_pat
         assert all(rival.keys() >= {'kind', 'where', 'odds', 'separated_by'}
                    for rival in effect['indistinguishable_from'])
     assert report['held_out']['recording'] is None
-    assert sum(end - start for start, end in report['held_out']['ranges']) == diagnosis.held_out.sum()
+    assert sum(end - start for start, end in report['held_out']['ranges']) == diagnosis.judged.sum()
 
 
 def test_progress_is_told_in_words_and_shares_and_only_named_kinds_are_considered():

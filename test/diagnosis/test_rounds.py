@@ -387,7 +387,7 @@ def test_a_measured_franka_is_explained_as_well_as_by_a_plain_model(shared_data,
         'effort_offset', 'viscous_friction', 'coulomb_friction', 'stribeck_friction', 'load_friction'))
     first, counted = found.first, found.first.counted
     plain = plain_model(body, first.samples, first.train_mask[:, None] & counted)
-    judged = found.held_out[:, None] & counted
+    judged = found.judged[:, None] & counted
     assert found.after.nmse == pytest.approx(nmse(found.final.residual, first.samples.outputs, judged))
     assert found.after.nmse.mean() < 1.05 * plain.nmse(first.samples, judged).mean()
 
