@@ -123,7 +123,7 @@ class Contacts:
         if told:
             self._since = None
         elif touched:
-            began = block.start - (block.end - block.start)  # what stands out began a little before
+            began = block.start - round(BLOCK_S * NANOSECONDS)  # what stands out began a little before
             self._since = began if self._since is None else self._since
         else:
             self.end(block.end)
@@ -176,9 +176,9 @@ class ChangeRecord:
 
     @property
     def brief(self) -> bool:
-        """Whether it was over as soon as a contact is."""
+        """Whether it was over as soon as a contact is; that is not known where the clock was set back."""
         change = self.change
-        return change.ended is not None and change.ended - change.since < CONTACT_S * NANOSECONDS
+        return change.ended is not None and 0 <= change.ended - change.since < CONTACT_S * NANOSECONDS
 
     @property
     def was_applied(self) -> bool:
@@ -506,6 +506,7 @@ class ChangeWatch:
     def _learn(self) -> None:
         """Let the model learn what no effect of the robot explains; with it another error is usual."""
         self.holds, self._held_s = False, 0.0
+        self.applied.assume(None)
         if self.detector is not None:
             self.detector.learn_usual()
 
@@ -583,7 +584,7 @@ class ChangeWatch:
         self.records[change.number] = record
         for number in list(self.records)[:-MOST_RECORDS]:
             del self.records[number]
-        if anew or change.ended is not None:
+        if (anew or change.ended is not None) and change.number > self._past:
             self._name_no_more(change.number)
             moved_s = 0.0 if self._followed is None else BLOCK_S * self._followed.blocks
             times = NAMED_AFTER_S if change.ended is None else (moved_s,)

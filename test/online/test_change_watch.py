@@ -350,3 +350,48 @@ def test_a_change_knows_since_when_it_was_taken_for_a_contact():
     touched_s, since_s = ((stamp - both.origin) * 1e-9 for stamp in (first.touched, first.since))
     assert touched_s == pytest.approx(70.0, abs=0.5)
     assert since_s > touched_s + 1.0
+
+
+@pytest.mark.parametrize('hours', [-1.0, 2.0])
+def test_what_was_there_before_the_clock_jumped_and_is_over_was_a_change(hours, monkeypatch):
+    """It had ended before it began: "the robot has not changed", and was named from two times that are none."""
+    body, samples = free()
+    jump = 5.0 * samples.outputs.std(axis=0) * (samples.time >= 70.0)[:, None]
+    there = replace(samples, outputs=samples.outputs + jump)
+    stage = offered(body, there[samples.time < 80.0], diagnosis_auto='apply')
+    assert stage.learner.changes.applied.applied
+    stage.learner.clear_pending()  # as the node does
+    asked = []
+    monkeypatch.setattr(change_watch.diagnosis_jobs, 'name_change', lambda *given: asked.append(given))
+    later = samples[(samples.time >= 80.0) & (samples.time < 85.0)]
+    stage.offer(replace(later, stamps=later.stamps + round(hours * 3600e9)))
+    record = stage.changes[-1]
+    assert record.decisions[-1].what == TAKEN_BACK
+    assert not record.retracted
+    assert not asked
+
+
+def test_a_push_after_a_pause_began_after_it():
+    """All motion of as long before the pause was left out of every diagnosis."""
+    body, samples = pushed(start=70.0, newton=150.0)
+    paused = samples.time >= 70.3
+    samples = replace(samples, outputs=np.where(paused[:, None], samples.outputs, free()[1].outputs))
+    samples = replace(samples, stamps=samples.stamps + np.where(paused, round(60e9), 0))
+    stage = offered(body, samples[samples.time < 70.3 + 60.0 + 8.0])
+    ((since, _),) = stage.learner.changes.contacts
+    assert (since - samples.origin) * 1e-9 > 69.5
+
+
+def test_a_load_that_is_retracted_is_taken_off_no_more(monkeypatch):
+    """It was for eight seconds more, of which the model learnt that it carries less than nothing."""
+    body, samples, _ = loaded()
+
+    def name(*given):
+        return replace(name_in_background(*given), effect=None, parameters={})
+
+    monkeypatch.setattr(change_watch.diagnosis_jobs, 'name_change', name)
+    stage = offered(body, samples[samples.time < LOADED_S[0] + 7.0], diagnosis_auto='apply')
+    record = stage.changes[-1]
+    assert record.retracted
+    assert record.decisions[-1].what == ASSUMED
+    assert stage.learner.changes.applied.provisional is None
