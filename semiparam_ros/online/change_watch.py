@@ -306,6 +306,8 @@ class ChangeWatch:
         self._inputs: Inputs | None = None
         """How the samples of this robot are best prepared, once that is known."""
         self._now = 0
+        self._first: int | None = None
+        """[ns] The first sample since then: of those before it is not known what was there."""
 
     @property
     def state(self) -> str:
@@ -381,12 +383,13 @@ class ChangeWatch:
         to name a change from."""
         self.applied.reset()
         self._contacts.reset()
-        self._due, self._past = [], max(self.records, default=0)
+        self._due, self._past, self._first = [], max(self.records, default=0), None
         if self.detector is not None:
             self.detector.reset()
 
     def see(self, estimator: Estimator, prediction: Prediction, history: History) -> None:
         """Take one predicted sample into account, before it is learnt."""
+        self._first = prediction.sample.stamp if self._first is None else self._first
         part = estimator.rigid_body_part(prediction) if prediction.ready else None
         if part is None:
             self.forget()
@@ -600,6 +603,7 @@ class ChangeWatch:
         change = record.change
         touched = change.touched or change.since
         batch = history.around(touched, BEFORE_S)
+        batch = batch.part(int(np.searchsorted(batch.stamps, self._first or 0)))
         others = [
             other.effect
             for key, other in self.records.items()

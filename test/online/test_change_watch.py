@@ -11,7 +11,17 @@ from semiparam_ros.experiments.evaluation import OfflineLearner
 from semiparam_ros.online import change_watch
 from semiparam_ros.online.change_watch import APPLIED, ASSUMED, TAKEN_BACK, TRIED, Decision
 from semiparam_ros.online.diagnosis_jobs import name_change as name_in_background
-from support.changing_arm import LOADED_S, SETTINGS, caught, described, free, loaded, offered, pushed
+from support.changing_arm import (
+    LOADED_S,
+    SETTINGS,
+    caught,
+    described,
+    free,
+    loaded,
+    offered,
+    pushed,
+    turned,
+)
 from support.learner_stage import Stage
 from support.node_helpers import InlineBackground
 
@@ -395,3 +405,16 @@ def test_a_load_that_is_retracted_is_taken_off_no_more(monkeypatch):
     assert record.retracted
     assert record.decisions[-1].what == ASSUMED
     assert stage.learner.changes.applied.provisional is None
+
+
+def test_a_change_soon_after_a_state_was_loaded_is_named_beside_the_load_of_that_state():
+    """The load was picked up among the samples of the state: "no effect explains" that the base was turned."""
+    (body, samples, _), (_, base) = loaded((70.0, 130.0)), turned(start=95.0)
+    samples = replace(samples, outputs=samples.outputs + base.outputs - free()[1].outputs)
+    stage = offered(body, samples[samples.time < 85.0], diagnosis_auto='apply')
+    assert stage.learner.changes.applied.applied
+    stage.learner.restore(stage.learner.state())
+    stage.offer(samples[(samples.time >= 85.0) & (samples.time < 102.0)])
+    record = stage.changes[-1]
+    assert record.effect is not None, record.sentence
+    assert (record.effect.kind, record.was_applied) == ('base_shift', True)
