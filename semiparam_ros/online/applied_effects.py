@@ -370,7 +370,9 @@ class AppliedEffects:
     def _begin_contribution(self, effect: Effect, coefficients: Array, now: int) -> None:
         acting = replace(effect, span=Span(start_stamp_s=_after(now)))
         self.contributions.append(Contribution(acting, coefficients))
-        del self.contributions[:-MOST_CONTRIBUTIONS]
+        if len(self.contributions) > MOST_CONTRIBUTIONS:  # the first that is over
+            ended = [each.effect.ends for each in self.contributions]
+            del self.contributions[ended.index(True) if any(ended) else 0]
 
     def _end_contribution(self, effect: Effect, coefficients: Array, now: int) -> None:
         self.contributions = _ended(self.contributions, effect, coefficients, now)
