@@ -381,12 +381,15 @@ class AppliedEffects:
 def _ended(
     contributions: Iterable[Contribution], effect: Effect, coefficients: Array, now: int
 ) -> list[Contribution]:
-    """Contributions of which those of an effect with these coefficients (c,) end at ``now`` [ns]."""
-    found = []
+    """Contributions of which those of an effect with these coefficients (c,) end at ``now`` [ns];
+    without those that have just begun."""
+    found, end_s = [], _after(now)
     for begun, values in contributions:
         same = np.array_equal(values, coefficients) and begun.without_span() == effect
         if same and not begun.ends:
-            begun = replace(begun, span=replace(begun.span, end_stamp_s=_after(now)))
+            if (begun.span.start_stamp_s or 0.0) >= end_s:
+                continue
+            begun = replace(begun, span=replace(begun.span, end_stamp_s=end_s))
         found.append(Contribution(begun, values))
     return found
 

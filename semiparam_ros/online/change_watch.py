@@ -549,7 +549,7 @@ class ChangeWatch:
     def _try(self, record: ChangeRecord) -> None:
         """Let an effect that was named predict beside the model."""
         effect, named, number = record.effect, record.named, record.change.number
-        if effect is None or named is None or not self.applies:
+        if effect is None or named is None or not self.applies or number <= self._past:
             return
         if effect.from_outside:
             return
