@@ -418,3 +418,15 @@ def test_a_change_soon_after_a_state_was_loaded_is_named_beside_the_load_of_that
     record = stage.changes[-1]
     assert record.effect is not None, record.sentence
     assert (record.effect.kind, record.was_applied) == ('base_shift', True)
+
+
+def test_a_name_that_comes_after_the_clock_was_set_back_applies_nothing():
+    """Its values were taken off from a stamp on that is hours ahead: samples as measured had none of it."""
+    body, samples, _ = loaded()
+    stage = offered(body, samples[samples.time < LOADED_S[0] + 8.0], diagnosis_auto='apply')
+    watch, record = stage.learner.changes, stage.changes[-1]
+    (trial,) = watch.applied.applied
+    stage.learner.clear_pending()  # as the node does
+    watch._named(record.change.number, record.named, None)
+    assert watch.applied.applied == [trial]
+    assert [effect.span.start_stamp_s for effect, _ in watch.applied.contributions] == [None]
