@@ -370,7 +370,9 @@ class AppliedEffects:
     def _begin_contribution(self, effect: Effect, coefficients: Array, now: int) -> None:
         acting = replace(effect, span=Span(start_stamp_s=_after(now)))
         self.contributions.append(Contribution(acting, coefficients))
-        del self.contributions[:-MOST_CONTRIBUTIONS]
+        if len(self.contributions) > MOST_CONTRIBUTIONS:  # the first that is over
+            ended = [each.effect.ends for each in self.contributions]
+            del self.contributions[ended.index(True) if any(ended) else 0]
 
     def _end_contribution(self, effect: Effect, coefficients: Array, now: int) -> None:
         self.contributions = _ended(self.contributions, effect, coefficients, now)
@@ -379,12 +381,15 @@ class AppliedEffects:
 def _ended(
     contributions: Iterable[Contribution], effect: Effect, coefficients: Array, now: int
 ) -> list[Contribution]:
-    """Contributions of which those of an effect with these coefficients (c,) end at ``now`` [ns]."""
-    found = []
+    """Contributions of which those of an effect with these coefficients (c,) end at ``now`` [ns];
+    without those that have just begun."""
+    found, end_s = [], _after(now)
     for begun, values in contributions:
         same = np.array_equal(values, coefficients) and begun.without_span() == effect
         if same and not begun.ends:
-            begun = replace(begun, span=replace(begun.span, end_stamp_s=_after(now)))
+            if (begun.span.start_stamp_s or 0.0) >= end_s:
+                continue
+            begun = replace(begun, span=replace(begun.span, end_stamp_s=end_s))
         found.append(Contribution(begun, values))
     return found
 

@@ -123,7 +123,7 @@ class Contacts:
         if told:
             self._since = None
         elif touched:
-            began = block.start - (block.end - block.start)  # what stands out began a little before
+            began = block.start - round(BLOCK_S * NANOSECONDS)  # what stands out began a little before
             self._since = began if self._since is None else self._since
         else:
             self.end(block.end)
@@ -176,9 +176,9 @@ class ChangeRecord:
 
     @property
     def brief(self) -> bool:
-        """Whether it was over as soon as a contact is."""
+        """Whether it was over as soon as a contact is; that is not known where the clock was set back."""
         change = self.change
-        return change.ended is not None and change.ended - change.since < CONTACT_S * NANOSECONDS
+        return change.ended is not None and 0 <= change.ended - change.since < CONTACT_S * NANOSECONDS
 
     @property
     def was_applied(self) -> bool:
@@ -306,6 +306,8 @@ class ChangeWatch:
         self._inputs: Inputs | None = None
         """How the samples of this robot are best prepared, once that is known."""
         self._now = 0
+        self._first: int | None = None
+        """[ns] The first sample since then: of those before it is not known what was there."""
 
     @property
     def state(self) -> str:
@@ -381,12 +383,13 @@ class ChangeWatch:
         to name a change from."""
         self.applied.reset()
         self._contacts.reset()
-        self._due, self._past = [], max(self.records, default=0)
+        self._due, self._past, self._first = [], max(self.records, default=0), None
         if self.detector is not None:
             self.detector.reset()
 
     def see(self, estimator: Estimator, prediction: Prediction, history: History) -> None:
         """Take one predicted sample into account, before it is learnt."""
+        self._first = prediction.sample.stamp if self._first is None else self._first
         part = estimator.rigid_body_part(prediction) if prediction.ready else None
         if part is None:
             self.forget()
@@ -506,6 +509,7 @@ class ChangeWatch:
     def _learn(self) -> None:
         """Let the model learn what no effect of the robot explains; with it another error is usual."""
         self.holds, self._held_s = False, 0.0
+        self.applied.assume(None)
         if self.detector is not None:
             self.detector.learn_usual()
 
@@ -545,7 +549,7 @@ class ChangeWatch:
     def _try(self, record: ChangeRecord) -> None:
         """Let an effect that was named predict beside the model."""
         effect, named, number = record.effect, record.named, record.change.number
-        if effect is None or named is None or not self.applies:
+        if effect is None or named is None or not self.applies or number <= self._past:
             return
         if effect.from_outside:
             return
@@ -583,7 +587,7 @@ class ChangeWatch:
         self.records[change.number] = record
         for number in list(self.records)[:-MOST_RECORDS]:
             del self.records[number]
-        if anew or change.ended is not None:
+        if (anew or change.ended is not None) and change.number > self._past:
             self._name_no_more(change.number)
             moved_s = 0.0 if self._followed is None else BLOCK_S * self._followed.blocks
             times = NAMED_AFTER_S if change.ended is None else (moved_s,)
@@ -599,6 +603,7 @@ class ChangeWatch:
         change = record.change
         touched = change.touched or change.since
         batch = history.around(touched, BEFORE_S)
+        batch = batch.part(int(np.searchsorted(batch.stamps, self._first or 0)))
         others = [
             other.effect
             for key, other in self.records.items()

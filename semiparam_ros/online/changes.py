@@ -335,6 +335,8 @@ class ChangeDetector:
         self._count = 0
         self._newest: int | None = None
         self._reference: Array | None = None
+        self._known_turns: Array = np.zeros(len(self._directions) - self._n_own)
+        """(t,) small turns of which the robot is known beside the reference [rad]."""
         self._covariance: Array = np.zeros((0, 0))
         self._before: deque[tuple[Array, Array]] = deque(maxlen=max(LENGTHS))
         """Coefficients of the model and their covariance, when each of the last blocks ended."""
@@ -450,7 +452,7 @@ class ChangeDetector:
         self._before.append((self._model.theta.copy(), covariance))
         self._held, self._compared = False, np.zeros(3)
         reference, self._covariance = self._before[0]
-        self._reference = reference.copy()
+        self._reference, self._known_turns = reference.copy(), np.zeros_like(self._known_turns)
 
     def _add(
         self, prediction: Prediction, reference: Array, weight: Array, added: Array | None
@@ -464,7 +466,7 @@ class ChangeDetector:
             )
             self._mapped_at = self._seconds
         rows = np.hstack([columns[:, : self._n_own], self._turned]) * weight[:, None]
-        left = (sample.outputs - columns @ reference) * weight
+        left = (sample.outputs - columns @ reference - self._turned @ self._known_turns) * weight
         self._gram += rows.T @ rows
         self._moment += left @ rows
         time = self._seconds / BLOCK_S
@@ -548,9 +550,7 @@ class ChangeDetector:
     def _learnt(self, theta: Array) -> Array:
         """(p + t,) coefficients that have come to the reference."""
         assert self._reference is not None
-        learnt = np.zeros(len(self._directions))
-        learnt[: self._n_own] = (theta - self._reference)[: self._n_own]
-        return learnt
+        return np.append((theta - self._reference)[: self._n_own], -self._known_turns)
 
     def _squares_left(self, learnt: Array) -> float:
         """Weighed squares that a model leaves of the block, which has come so far (p + t,)."""
@@ -864,8 +864,9 @@ class ChangeDetector:
         )
         if followed is not None and not again and self._reference is not None:
             # what was told before is part of the robot now; blocks beside another one tell nothing
-            known = self._directions[: self._n_own, followed.cause.part] @ followed.theta
-            self._reference[: self._n_own] += known
+            known = self._directions[:, followed.cause.part] @ followed.theta
+            self._reference[: self._n_own] += known[: self._n_own]
+            self._known_turns += known[self._n_own :]
             self._blocks.clear()
             blocks = []
         self.touched, self.followed = False, Followed(change, judged, blocks)

@@ -388,6 +388,33 @@ def test_desired_states_and_the_samples_as_measured_hold_what_is_applied():
     np.testing.assert_allclose(bias, np.arange(6.0))
 
 
+def test_what_is_applied_since_many_loads_ago_is_in_the_samples_as_measured():
+    """Only the latest hundred were kept, and a load is taken off by half a dozen values until it has a name."""
+    body, samples = free()
+    link, applied = last_link(body), AppliedEffects(body)
+    applied.offer(1, effect_from_text('sensor_offset'), np.arange(6.0), np.zeros(6), 0)
+    applied.switch(applied.trials[0], int(samples.stamps[0]))
+    off = [applied.taken_off(samples[:1][0])[0]]
+    for mass, sample in enumerate(list(samples[1:130]), start=1):
+        off.append(applied.taken_off(sample)[0])
+        applied.assume(Load(link, mass * np.eye(10)[0], np.eye(10)))
+    again = as_measured(body, Samples.from_list(off[-20:]), applied.contributions)
+    np.testing.assert_allclose(again.outputs, samples.outputs[110:130], rtol=0.0, atol=1e-8)
+
+
+def test_a_state_of_what_had_another_name_before_the_next_sample_is_loaded():
+    """It was over when it began: "expected an end after the start", and the state was lost."""
+    body, samples = free()
+    effect, applied = effect_from_text('sensor_offset'), AppliedEffects(body)
+    applied.offer(1, effect, np.arange(6.0), np.zeros(6), 0)
+    applied.switch(applied.trials[0], int(samples.stamps[5]))
+    applied.offer(1, effect, 2.0 * np.arange(6.0), np.zeros(6), int(samples.stamps[5]))
+    restored = AppliedEffects(body)
+    restored.restore(applied.state())
+    ((_, values),) = restored.contributions
+    assert values.tolist() == [0.0, 2.0, 4.0, 6.0, 8.0, 10.0]
+
+
 def test_after_a_jump_of_the_clock_samples_as_measured_hold_what_is_applied_and_nothing_of_before():
     """A recording that is played again had the load of the first time, and one that began earlier none."""
     body, samples = free()

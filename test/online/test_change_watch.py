@@ -11,7 +11,17 @@ from semiparam_ros.experiments.evaluation import OfflineLearner
 from semiparam_ros.online import change_watch
 from semiparam_ros.online.change_watch import APPLIED, ASSUMED, TAKEN_BACK, TRIED, Decision
 from semiparam_ros.online.diagnosis_jobs import name_change as name_in_background
-from support.changing_arm import LOADED_S, SETTINGS, caught, described, free, loaded, offered, pushed
+from support.changing_arm import (
+    LOADED_S,
+    SETTINGS,
+    caught,
+    described,
+    free,
+    loaded,
+    offered,
+    pushed,
+    turned,
+)
 from support.learner_stage import Stage
 from support.node_helpers import InlineBackground
 
@@ -350,3 +360,73 @@ def test_a_change_knows_since_when_it_was_taken_for_a_contact():
     touched_s, since_s = ((stamp - both.origin) * 1e-9 for stamp in (first.touched, first.since))
     assert touched_s == pytest.approx(70.0, abs=0.5)
     assert since_s > touched_s + 1.0
+
+
+@pytest.mark.parametrize('hours', [-1.0, 2.0])
+def test_what_was_there_before_the_clock_jumped_and_is_over_was_a_change(hours, monkeypatch):
+    """It had ended before it began: "the robot has not changed", and was named from two times that are none."""
+    body, samples = free()
+    jump = 5.0 * samples.outputs.std(axis=0) * (samples.time >= 70.0)[:, None]
+    there = replace(samples, outputs=samples.outputs + jump)
+    stage = offered(body, there[samples.time < 80.0], diagnosis_auto='apply')
+    assert stage.learner.changes.applied.applied
+    stage.learner.clear_pending()  # as the node does
+    asked = []
+    monkeypatch.setattr(change_watch.diagnosis_jobs, 'name_change', lambda *given: asked.append(given))
+    later = samples[(samples.time >= 80.0) & (samples.time < 85.0)]
+    stage.offer(replace(later, stamps=later.stamps + round(hours * 3600e9)))
+    record = stage.changes[-1]
+    assert record.decisions[-1].what == TAKEN_BACK
+    assert not record.retracted
+    assert not asked
+
+
+def test_a_push_after_a_pause_began_after_it():
+    """All motion of as long before the pause was left out of every diagnosis."""
+    body, samples = pushed(start=70.0, newton=150.0)
+    paused = samples.time >= 70.3
+    samples = replace(samples, outputs=np.where(paused[:, None], samples.outputs, free()[1].outputs))
+    samples = replace(samples, stamps=samples.stamps + np.where(paused, round(60e9), 0))
+    stage = offered(body, samples[samples.time < 70.3 + 60.0 + 8.0])
+    ((since, _),) = stage.learner.changes.contacts
+    assert (since - samples.origin) * 1e-9 > 69.5
+
+
+def test_a_load_that_is_retracted_is_taken_off_no_more(monkeypatch):
+    """It was for eight seconds more, of which the model learnt that it carries less than nothing."""
+    body, samples, _ = loaded()
+
+    def name(*given):
+        return replace(name_in_background(*given), effect=None, parameters={})
+
+    monkeypatch.setattr(change_watch.diagnosis_jobs, 'name_change', name)
+    stage = offered(body, samples[samples.time < LOADED_S[0] + 7.0], diagnosis_auto='apply')
+    record = stage.changes[-1]
+    assert record.retracted
+    assert record.decisions[-1].what == ASSUMED
+    assert stage.learner.changes.applied.provisional is None
+
+
+def test_a_change_soon_after_a_state_was_loaded_is_named_beside_the_load_of_that_state():
+    """The load was picked up among the samples of the state: "no effect explains" that the base was turned."""
+    (body, samples, _), (_, base) = loaded((70.0, 130.0)), turned(start=95.0)
+    samples = replace(samples, outputs=samples.outputs + base.outputs - free()[1].outputs)
+    stage = offered(body, samples[samples.time < 85.0], diagnosis_auto='apply')
+    assert stage.learner.changes.applied.applied
+    stage.learner.restore(stage.learner.state())
+    stage.offer(samples[(samples.time >= 85.0) & (samples.time < 102.0)])
+    record = stage.changes[-1]
+    assert record.effect is not None, record.sentence
+    assert (record.effect.kind, record.was_applied) == ('base_shift', True)
+
+
+def test_a_name_that_comes_after_the_clock_was_set_back_applies_nothing():
+    """Its values were taken off from a stamp on that is hours ahead: samples as measured had none of it."""
+    body, samples, _ = loaded()
+    stage = offered(body, samples[samples.time < LOADED_S[0] + 8.0], diagnosis_auto='apply')
+    watch, record = stage.learner.changes, stage.changes[-1]
+    (trial,) = watch.applied.applied
+    stage.learner.clear_pending()  # as the node does
+    watch._named(record.change.number, record.named, None)
+    assert watch.applied.applied == [trial]
+    assert [effect.span.start_stamp_s for effect, _ in watch.applied.contributions] == [None]

@@ -80,6 +80,15 @@ def test_a_second_change_is_one_change():
     assert abs((found[-1].touched - samples.origin) * 1e-9 - 84.0) < 0.2
 
 
+def test_a_base_that_was_turned_is_known_when_something_else_changes():
+    """It is no column of the model: of the load that came next eight changes were told."""
+    (body, samples, _), (_, base) = loaded(between=(80.0, 130.0)), turned(start=70.0)
+    both = replace(samples, outputs=samples.outputs + base.outputs - free()[1].outputs)
+    found, _, _ = told(body, both[samples.time < 100.0])
+    assert {change.number for change in found} == {1, 2}
+    assert found[-1].kind == 'payload'
+
+
 def test_what_comes_is_judged_by_the_model_from_before_the_longest_window():
     body, samples = free()
     estimator = Estimator(body, ModelOptions(variant='P', initial_samples=200))
