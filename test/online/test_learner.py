@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 import weakref
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -804,11 +805,13 @@ def test_what_is_urgent_interrupts_what_is_not_which_begins_anew(tmp_path):
 
 
 def test_a_process_that_is_still_loading_does_not_die_of_a_job_that_is_to_give_way():
-    process, line = _spawned_worker()
+    with ThreadPoolExecutor(1) as thread:  # which ends with signals blocked, as the worker's own does
+        process, line = thread.submit(_spawned_worker).result()
     os.kill(process.pid, signal.SIGUSR1)
     transport.send(line, (max, (1, 3)))
     assert transport.receive(line).result == 3
     process.kill()
+    assert not signal.pthread_sigmask(signal.SIG_BLOCK, []), 'programs of later tests would not hear of Ctrl-C'
 
 
 def wait_for(path, seconds):
