@@ -198,9 +198,11 @@ class CoupledColumns:
         ``physical``, wide for the offset of a wrench, of the joint's size for friction and offset
         of an effort."""
         rigid = base_scale(self.body) if self.physical else np.ones(self.body.n_parameters)
-        joints = [bias_scale(self.body)] if self.has_offset else []
+        joints = list[Array]()
         if self.has_friction:
             joints = [friction_prior(self.body), friction_scale(self.body)]
+        elif self.has_offset:
+            joints = [bias_scale(self.body)]
         return np.concatenate([rigid, *joints, *self._effect_scales])
 
     @property

@@ -99,11 +99,7 @@ def forked_worker() -> Worker:
 
     It costs nothing, where one that is spawned loads for two seconds of processor time.
     """
-    usual = signal.pthread_sigmask(signal.SIG_BLOCK, NOT_YET)
-    try:
-        return _started('fork')
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, usual)
+    return _started('fork')
 
 
 class ProcessBackground:
@@ -257,9 +253,8 @@ class ProcessBackground:
 
 
 def _spawned_worker() -> Worker:
-    """A worker begun anew, from a thread that may not unblock SIGINT later."""
+    """A worker begun anew."""
     resource_tracker.ensure_running()  # which would unblock SIGINT
-    signal.pthread_sigmask(signal.SIG_BLOCK, NOT_YET)
     return _started('spawn')
 
 
@@ -268,7 +263,11 @@ def _started(method: Literal['fork', 'spawn']) -> Worker:
     ours, theirs = context.Pipe()
     inherited = (ours,) if method == 'fork' else ()
     process = context.Process(target=_work, args=(theirs, *inherited), daemon=True)
-    process.start()
+    usual = signal.pthread_sigmask(signal.SIG_BLOCK, NOT_YET)
+    try:
+        process.start()
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, usual)
     theirs.close()  # the process has its own: when it ends, nobody waits for the other half of a result
     return Worker(process, ours)
 

@@ -9,7 +9,6 @@ import subprocess
 import sys
 import time
 import weakref
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -805,8 +804,7 @@ def test_what_is_urgent_interrupts_what_is_not_which_begins_anew(tmp_path):
 
 
 def test_a_process_that_is_still_loading_does_not_die_of_a_job_that_is_to_give_way():
-    with ThreadPoolExecutor(1) as thread:  # which ends with signals blocked, as the worker's own does
-        process, line = thread.submit(_spawned_worker).result()
+    process, line = _spawned_worker()
     os.kill(process.pid, signal.SIGUSR1)
     transport.send(line, (max, (1, 3)))
     assert transport.receive(line).result == 3

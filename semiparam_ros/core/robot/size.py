@@ -124,7 +124,7 @@ BIAS = 100.0
 
 
 def bias_scale(body: RigidBody) -> Array:
-    """(n,) what an output's offset may be: of a small robot's sensor it has nothing to do with its weight."""
+    """(n,) what the offset of an output may be, in its unit: ``BIAS``, or more on a robot that is heavy."""
     return np.maximum(BIAS, output_scale(body))
 
 
