@@ -16,7 +16,7 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 from rclpy.validate_full_topic_name import validate_full_topic_name
 
 from semiparam_ros.errors import SemiparamError
-from semiparam_ros.ros.context import call_in_executor
+from semiparam_ros.ros.context import call_in_executor, rcl_reason
 
 POLL_S = 0.02
 _PARTICIPANT_BYTES = 12
@@ -57,7 +57,7 @@ def name_fault(topic: str) -> str:
     try:
         validate_full_topic_name(expand_topic_name(topic, 'node', '/'))
     except (InvalidTopicNameException, ValueError) as error:
-        return str(error).splitlines()[0].split(': ', 1)[1].split(', at /')[0].rstrip(':')
+        return rcl_reason(error).split(': ', 1)[1].rstrip(':.')
     return ''
 
 
