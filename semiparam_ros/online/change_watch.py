@@ -540,11 +540,12 @@ class ChangeWatch:
             self._decide(followed.change.number, Decision(ASSUMED, self._now))
 
     def _waits(self, number: int) -> bool:
-        """Whether a change is still to be named, or tried."""
+        """Whether a change is still to be named, or tried, or may be over yet."""
         record = self.records.get(number)
         if record is None or any(decision.what == DROPPED for decision in record.decisions):
             return False
-        return record.times_named < NAMED_TWICE or self.applied.of_change(number) is not None
+        unknown = not record.change.kind  # it may be a contact that lasts
+        return unknown or record.times_named < NAMED_TWICE or self.applied.of_change(number) is not None
 
     def _try(self, record: ChangeRecord) -> None:
         """Let an effect that was named predict beside the model."""
@@ -646,8 +647,8 @@ class ChangeWatch:
             if doubted or record.change.ended != asked:  # it was over in some of the samples
                 self._ask_again(number, NAMED_AFTER_S[0])
                 return
-            if named.effect is None and record.was_applied:
-                named = record.named
+            if record.was_applied and (named.effect is None or named.effect.from_outside):
+                named = record.named  # what predicts is what is told
             record = replace(record, named=named, times_named=record.times_named + 1, unnamed='')
             self.records[number] = record
             if record.retracted:

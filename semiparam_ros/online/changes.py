@@ -657,8 +657,11 @@ class ChangeDetector:
             return None
         if best is None or best.evidence < SURE:
             return None
-        if again and followed is not None and best.cause in (followed.cause, self.causes[-1]):
-            return None  # what no known kind explains better is named all the same
+        unknown = self.causes[-1]
+        if followed is not None and best.cause in (followed.cause, unknown) and (
+            again or followed.cause is unknown
+        ):
+            return None  # what no known kind explains better is named all the same, and told once
         return self._change(stamp, best)
 
     def likeliest(self) -> Judged | None:

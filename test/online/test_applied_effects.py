@@ -161,14 +161,35 @@ def test_a_load_that_the_model_has_learnt_is_put_down_and_taken_off():
     assert load.parameters[0] == pytest.approx(-mass, rel=0.05), 'less than the model has learnt'
 
 
+def test_a_better_name_takes_the_place_of_what_is_applied():
+    """It was told, while the first one went on predicting."""
+    body, samples = free()
+    applied, now = AppliedEffects(body), int(samples.stamps[10])
+    first, better = map(effect_from_text, ('cable_spring@r_gripper', 'payload@r_gripper'))
+    values = [0.1 * np.ones(len(effect.coefficients(body))) for effect in (first, better)]
+    assert applied.offer(1, first, values[0], values[0], now)
+    applied.switch(applied.trials[0], now)
+    assert not applied.offer(1, better, values[1], values[1], int(samples.stamps[30]))
+    (trial,) = applied.applied
+    assert (trial.effect, trial.score) == (better, 0.0)
+    sample, added = applied.taken_off(samples[40])
+    np.testing.assert_allclose(added, better.columns(body, samples[40:41], None)[0][0] @ values[1])
+    spans = [contribution.effect for contribution in applied.contributions]
+    assert [(effect.kind, effect.ends) for effect in spans] == [(first.kind, True), (better.kind, False)]
+
+
 def test_a_hand_that_leans_on_the_arm_for_twenty_seconds_is_not_learnt():
-    body, samples = pushed(seconds=20.0)
-    stage = offered(body, samples[samples.time < 110.0], diagnosis_auto='apply')
+    """What no known kind explains is told once, and may be over; it was told four times."""
+    body, samples = pushed(seconds=20.0, seed=5)
+    stage = offered(body, samples, diagnosis_auto='apply')
     batch = stage.learner.history.batch()
     time = (batch.stamps - samples.origin) * 1e-9
     assert (batch.learning[(time > 72.0) & (time < 90.0)] == Learning.OFFSET).mean() > 0.95
     assert (batch.learning[time > 102.0] != Learning.OFFSET).all()
     assert not stage.learner.changes.applied.applied
+    assert {record.change.number for record in stage.changes} == {1}
+    left = errors(stage, samples)
+    assert between(samples, left, 95.0, 130.0) < 1.1 * between(samples, left, *FLOOR_S)
 
 
 def test_what_was_learnt_before_a_push_stood_out_is_taken_back():
