@@ -215,20 +215,19 @@ class AppliedEffects:
         self, number: int, effect: Effect, coefficients: Array, std: Array, now: int
     ) -> bool:
         """Take an effect and its coefficients (c,) from ``now`` [ns] on as that of a change; whether
-        it is to be tried from now on. It takes the place of one that is applied, or was."""
+        it is to be tried from now on. One that is applied, or was, keeps its kind and its place."""
         effect, known = effect.without_span(), self.of_change(number)
         if known is None or not (known.applied or known.remembered):
             self._keep(trial for trial in self.trials if trial is not known)
             self.trials.append(KnownEffect(number, effect, coefficients, std, since=now))
             self._changed()
             return True
-        if known.applied:
-            self._end_contribution(known.effect, known.coefficients, now)
-            self._begin_contribution(effect, coefficients, now)
-        if known.effect != effect:
-            known.score, known.squares = 0.0, np.zeros((2, 1))
-        known.effect, known.coefficients, known.std = effect, coefficients, std
-        self._changed()
+        if (known.effect.kind, known.effect.where) == (effect.kind, effect.where):
+            if known.applied:
+                self._end_contribution(known.effect, known.coefficients, now)
+                self._begin_contribution(effect, coefficients, now)
+            known.effect, known.coefficients, known.std = effect, coefficients, std
+            self._changed()
         return False
 
     def drop(self, number: int) -> None:

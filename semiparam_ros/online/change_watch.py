@@ -257,6 +257,10 @@ class ChangeRecord:
         }
 
 
+def _identity(effect: Effect | None) -> tuple[str, str | None] | None:
+    return None if effect is None else (effect.kind, effect.where)
+
+
 def known(declared: Sequence[Effect], named: Sequence[Effect]) -> tuple[Effect, ...]:
     """Effects that are declared or were named, each once: with its end, where one is known."""
     found: dict[tuple[str, str | None, float | None], Effect] = {}
@@ -647,7 +651,7 @@ class ChangeWatch:
             if doubted or record.change.ended != asked:  # it was over in some of the samples
                 self._ask_again(number, NAMED_AFTER_S[0])
                 return
-            if record.was_applied and (named.effect is None or named.effect.from_outside):
+            if record.was_applied and _identity(named.effect) != _identity(record.effect):
                 named = record.named  # what predicts is what is told
             record = replace(record, named=named, times_named=record.times_named + 1, unnamed='')
             self.records[number] = record

@@ -161,23 +161,6 @@ def test_a_load_that_the_model_has_learnt_is_put_down_and_taken_off():
     assert load.parameters[0] == pytest.approx(-mass, rel=0.05), 'less than the model has learnt'
 
 
-def test_a_better_name_takes_the_place_of_what_is_applied():
-    """It was told, while the first one went on predicting."""
-    body, samples = free()
-    applied, now = AppliedEffects(body), int(samples.stamps[10])
-    first, better = map(effect_from_text, ('cable_spring@r_gripper', 'payload@r_gripper'))
-    values = [0.1 * np.ones(len(effect.coefficients(body))) for effect in (first, better)]
-    assert applied.offer(1, first, values[0], values[0], now)
-    applied.switch(applied.trials[0], now)
-    assert not applied.offer(1, better, values[1], values[1], int(samples.stamps[30]))
-    (trial,) = applied.applied
-    assert (trial.effect, trial.score) == (better, 0.0)
-    sample, added = applied.taken_off(samples[40])
-    np.testing.assert_allclose(added, better.columns(body, samples[40:41], None)[0][0] @ values[1])
-    spans = [contribution.effect for contribution in applied.contributions]
-    assert [(effect.kind, effect.ends) for effect in spans] == [(first.kind, True), (better.kind, False)]
-
-
 def test_a_hand_that_leans_on_the_arm_for_twenty_seconds_is_not_learnt():
     """What no known kind explains is told once, and may be over; it was told four times."""
     body, samples = pushed(seconds=20.0, seed=5)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from semiparam_ros.diagnosis.change import name_change
+from semiparam_ros.effects.loads import Payload
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.experiments.evaluation import OfflineLearner
 from semiparam_ros.online import change_watch
@@ -430,3 +431,16 @@ def test_a_name_that_comes_after_the_clock_was_set_back_applies_nothing():
     watch._named(record.change.number, record.named, None)
     assert watch.applied.applied == [trial]
     assert [effect.span.start_stamp_s for effect, _ in watch.applied.contributions] == [None]
+
+
+def test_what_is_applied_keeps_its_name():
+    """The record told of a later name, while the first one went on predicting."""
+    body, samples, _ = loaded()
+    stage = offered(body, samples[samples.time < LOADED_S[0] + 15.0], diagnosis_auto='apply')
+    watch, record = stage.learner.changes, stage.changes[-1]
+    assert record.was_applied
+    other = replace(record.named, effect=Payload('r_hand', span=record.named.effect.span))
+    watch._named(record.change.number, other, None)
+    (trial,) = watch.applied.applied
+    assert stage.changes[-1].effect.where == trial.effect.where == 'r_gripper'
+    assert stage.changes[-1].times_named == record.times_named + 1
