@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from semiparam_ros.core.types import Array, Mask
+from semiparam_ros.core.types import Array, Indices, Mask
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
 
 
@@ -18,6 +18,11 @@ def interleaved_split(count: int, config: DiagnosisConfig = DEFAULTS) -> Mask:
 def leading_split(count: int, share: float) -> Mask:
     """(N,) true for the first ``share`` of the samples; the rest is held out."""
     return np.arange(count) < round(count * share)
+
+
+def evenly(count: int, most: int) -> Indices:
+    """(k,) at most so many of the numbers up to a count, evenly spread, the first and the last among them."""
+    return np.unique(np.linspace(0, count - 1, most).astype(int))
 
 
 def ranges(mask: Mask) -> list[tuple[int, int]]:
