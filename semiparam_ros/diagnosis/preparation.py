@@ -69,7 +69,11 @@ class Inputs(NamedTuple):
         """The working samples before they are smoothed, velocities and accelerations as early as positions; those that
         were recorded where nothing is smoothed, for between two samples nobody knows them exactly."""
         working = averaged(samples, self.factor)
-        return _aligned(working, self.lags) if self.motion in SMOOTHED else working
+        if self.motion not in SMOOTHED or not any(self.lags):
+            return working
+        velocity, acceleration = (_earlier(working.time, values, lag) for values, lag in zip(
+            (working.velocity, working.acceleration), self.lags, strict=True))
+        return replace(working, velocity=velocity, acceleration=acceleration)
 
     def mask(self, mask: Mask) -> Mask:
         """A mask over samples (N,) as one over working samples: true where all that it averages are true.
@@ -129,11 +133,6 @@ def _lag(time: Array, recorded: Array, told: Array, derivative: Array, moves: Ma
 def _earlier(time: Array, values: Array, lag: float) -> Array:
     """Values (N, k) so much [s] earlier."""
     return np.column_stack([np.interp(time + lag, time, each) for each in values.T]) if lag else values
-
-
-def _aligned(samples: Samples, lags: tuple[float, float]) -> Samples:
-    return replace(samples, velocity=_earlier(samples.time, samples.velocity, lags[0]),
-                   acceleration=_earlier(samples.time, samples.acceleration, lags[1])) if any(lags) else samples
 
 
 def best_inputs(body: RigidBody, samples: Samples, effects: Sequence[Effect], train_mask: Mask,
