@@ -177,9 +177,9 @@ def prepared(body: RigidBody, samples: Samples, effects: Sequence[Effect], may_f
     return inputs, chosen, inputs.mask(clean) & counted.any(axis=1), counted
 
 
-def of_one_rate(recordings: Sequence[Samples], config: DiagnosisConfig = DEFAULTS) -> list[Samples]:
+def of_one_rate(recordings: Sequence[Samples]) -> list[Samples]:
     """The recordings, those that are faster averaged down to about the rate of the slowest."""
-    factors = [working_factor(samples, config) for samples in recordings]
+    factors = [working_factor(samples) for samples in recordings]
     return [averaged(samples, factor // min(factors)) for samples, factor in zip(recordings, factors, strict=True)]
 
 
@@ -254,9 +254,9 @@ def bursts(samples: Samples, config: DiagnosisConfig = DEFAULTS) -> list[str]:
             'when it measures, not when a message arrives: the accelerations are off, and so is what was found.']
 
 
-def most_samples(rate_hz: float, config: DiagnosisConfig = DEFAULTS) -> int:
+def most_samples(rate_hz: float) -> int:
     """How many samples of this rate a diagnosis looks at."""
-    return config.most_working_samples * max(int(rate_hz / config.working_rate_hz), 1)
+    return DEFAULTS.most_working_samples * max(int(rate_hz / DEFAULTS.working_rate_hz), 1)
 
 
 def require_enough(config: DiagnosisConfig, *masks: Mask) -> None:
