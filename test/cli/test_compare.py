@@ -124,12 +124,12 @@ def test_several_processes_change_nothing(quick, compare):
     assert without_times(compare(*QUICK, jobs=2)[0]) == without_times(quick[0])
 
 
-def test_a_dask_cluster_changes_nothing(quick, compare):
+def test_a_dask_cluster_of_two_processes_changes_nothing(quick, compare):
     if os.environ.get('CI', '').lower() != 'true':
         pytest.importorskip('distributed')
     from distributed import LocalCluster
 
-    with LocalCluster(n_workers=1, threads_per_worker=1, processes=True, dashboard_address=None,
+    with LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None,
                       host='127.0.0.1') as cluster:
         found, _ = compare(*QUICK, '--scheduler', cluster.scheduler_address)
         tasks = cluster.scheduler.transition_counter
