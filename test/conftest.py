@@ -70,6 +70,14 @@ def searched_once():
         yield
 
 
+@pytest.fixture(scope='module')
+def motion_as_recorded():
+    """Changes are named from the motion as it was recorded: to smooth it is most of the work, and tests of the naming
+    itself do."""
+    with patch('semiparam_ros.diagnosis.preparation.OPTIONS', ('recorded',)):
+        yield
+
+
 @pytest.fixture(scope='session', autouse=True)
 def own_ros_home(tmp_path_factory):
     """States and logs of nodes that are given no folder: not the user's own, where another node may be at work."""

@@ -10,7 +10,6 @@ from pathlib import Path
 
 import pytest
 
-from semiparam_ros.cli import documentation
 from semiparam_ros.cli.main import COMMANDS
 from semiparam_ros.core.variants import CHOICES
 from semiparam_ros.effects.registry import BUILT_IN
@@ -102,10 +101,12 @@ def test_ros2_commands_name_parameters_and_services_that_exist():
     assert all(BY_NAME[name].live for name in parameters)
 
 
-def test_the_reference_of_commands_is_that_of_the_commands():
-    page = (REPOSITORY / 'docs/reference/commands.md').read_text(encoding='utf-8')
-    assert page == documentation.page(), 'run python -m semiparam_ros.cli.documentation'
-    assert all(f'## semiparam {command}\n' in page for command in COMMANDS)
+def test_what_is_made_from_the_code_is_up_to_date():
+    """Commands, parameters and the file that holds them all, and the tables of effects."""
+    files = runpy.run_path(str(REPOSITORY / 'docs/reference/render.py'))['files']()
+    for path, text in files.items():
+        assert path.read_text(encoding='utf-8') == text, 'run python docs/reference/render.py'
+    assert all(f'## semiparam {command}\n' in files[REPOSITORY / 'docs/reference/commands.md'] for command in COMMANDS)
 
 
 def test_the_table_of_variants_is_complete():

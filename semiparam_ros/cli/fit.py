@@ -102,7 +102,7 @@ def _show(settings: Settings, found: Hyperparameters) -> None:
         value = getattr(found, name)
         values = value if isinstance(value, tuple) else (value,) if value else ()
         if values:
-            rows.append((name, ' '.join(map(_short, values))))
+            rows.append((name, ' '.join(f'{value:.3g}' for value in values)))
     if settings.features_count == 'auto' and found.features:
         rows.append(('features', str(found.features)))
     if found.drift_share > 0.01:
@@ -113,7 +113,3 @@ def _show(settings: Settings, found: Hyperparameters) -> None:
                                     'one would if noise were white'))
     for name, text in rows:
         options.output.print(f'{name:13s} {text}')
-
-
-def _short(value: float) -> str:
-    return f'{value:.3g}'

@@ -303,9 +303,7 @@ def _evaluated(fit: Fit, start: _Start, judged: Mask) -> Evaluation:
 
 def _left(final: Fit, samples: Samples, start: _Start) -> tuple[Structure, list[str]]:
     """The structure of what the final model leaves, and what is said of a motion that is too fast for its rate."""
-    structure = remaining_structure(final.body, final.samples, final.residual, start.fitting, final.scale, final.config,
-                                    final.counted)
-    fast = too_fast(final.body, samples, start.inputs, final)
+    structure, fast = remaining_structure(final), too_fast(samples, start.inputs, final)
     if fast and structure.share < final.config.most:
         structure = replace(structure, significant=False)  # errors of the inputs explain more than that
     return structure, fast

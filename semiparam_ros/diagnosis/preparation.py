@@ -69,7 +69,11 @@ class Inputs(NamedTuple):
         """The working samples before they are smoothed, velocities and accelerations as early as positions; those that
         were recorded where nothing is smoothed, for between two samples nobody knows them exactly."""
         working = averaged(samples, self.factor)
-        return _aligned(working, self.lags) if self.motion in SMOOTHED else working
+        if self.motion not in SMOOTHED or not any(self.lags):
+            return working
+        velocity, acceleration = (_earlier(working.time, values, lag) for values, lag in zip(
+            (working.velocity, working.acceleration), self.lags, strict=True))
+        return replace(working, velocity=velocity, acceleration=acceleration)
 
     def mask(self, mask: Mask) -> Mask:
         """A mask over samples (N,) as one over working samples: true where all that it averages are true.
@@ -131,11 +135,6 @@ def _earlier(time: Array, values: Array, lag: float) -> Array:
     return np.column_stack([np.interp(time + lag, time, each) for each in values.T]) if lag else values
 
 
-def _aligned(samples: Samples, lags: tuple[float, float]) -> Samples:
-    return replace(samples, velocity=_earlier(samples.time, samples.velocity, lags[0]),
-                   acceleration=_earlier(samples.time, samples.acceleration, lags[1])) if any(lags) else samples
-
-
 def best_inputs(body: RigidBody, samples: Samples, effects: Sequence[Effect], train_mask: Mask,
                 config: DiagnosisConfig = DEFAULTS) -> Inputs:
     """The motion with which the declared model, and what every arm has, predict unseen blocks best (of several that no
@@ -178,9 +177,9 @@ def prepared(body: RigidBody, samples: Samples, effects: Sequence[Effect], may_f
     return inputs, chosen, inputs.mask(clean) & counted.any(axis=1), counted
 
 
-def of_one_rate(recordings: Sequence[Samples], config: DiagnosisConfig = DEFAULTS) -> list[Samples]:
+def of_one_rate(recordings: Sequence[Samples]) -> list[Samples]:
     """The recordings, those that are faster averaged down to about the rate of the slowest."""
-    factors = [working_factor(samples, config) for samples in recordings]
+    factors = [working_factor(samples) for samples in recordings]
     return [averaged(samples, factor // min(factors)) for samples, factor in zip(recordings, factors, strict=True)]
 
 
@@ -194,7 +193,7 @@ def with_usual(body: RigidBody, samples: Samples, effects: Sequence[Effect]) -> 
     return [*effects, *usual]
 
 
-def too_fast(body: RigidBody, samples: Samples, inputs: Inputs, fit: Fit) -> list[str]:
+def too_fast(samples: Samples, inputs: Inputs, fit: Fit) -> list[str]:
     """A sentence where errors of estimated accelerations make most of what the model leaves; empty otherwise.
 
     :param fit: the model on the prepared samples.
@@ -204,7 +203,7 @@ def too_fast(body: RigidBody, samples: Samples, inputs: Inputs, fit: Fit) -> lis
     config, raw, smoother = fit.config, inputs.working(samples), SMOOTHED[inputs.motion]
     spread = fit.samples.acceleration.std(axis=0)
     left = fit.squares / np.maximum(fit.counts, 1.0)
-    power = np.mean(inertia_columns(body, fit.samples, fit.rigid_part)[fit.train_mask] ** 2, axis=0)
+    power = np.mean(inertia_columns(fit.body, fit.samples, fit.rigid_part)[fit.train_mask] ** 2, axis=0)
     errors, *finer = acceleration_errors(raw, *smoother, times=(1, *config.faster))
     share, *shares = [float((power @ each**2 / left).max()) for each in (errors, *finer)]
     if not share >= config.most:  # nor where they are not known
@@ -215,8 +214,8 @@ def too_fast(body: RigidBody, samples: Samples, inputs: Inputs, fit: Fit) -> lis
     worst = int((errors / np.maximum(spread, 1e-12)).argmax())
     remedy = f'record at {rate * enough:.0f} Hz, or measure them' if enough else 'measure them'
     return [f'The motion is too fast for {rate:.0f} Hz: accelerations cannot be had better than to '
-            f'{100 * errors[worst] / max(spread[worst], 1e-12):.1f} % ({body.joints[worst]}), and that is most of what '
-            f'the model leaves. Small effects found here, or small ones not found, say little; {remedy}.']
+            f'{100 * errors[worst] / max(spread[worst], 1e-12):.1f} % ({fit.body.joints[worst]}), and that is most of '
+            f'what the model leaves. Small effects found here, or small ones not found, say little; {remedy}.']
 
 
 def late(inputs: Inputs, samples: Samples, filter_declared: bool = False) -> list[str]:
@@ -255,9 +254,9 @@ def bursts(samples: Samples, config: DiagnosisConfig = DEFAULTS) -> list[str]:
             'when it measures, not when a message arrives: the accelerations are off, and so is what was found.']
 
 
-def most_samples(rate_hz: float, config: DiagnosisConfig = DEFAULTS) -> int:
+def most_samples(rate_hz: float) -> int:
     """How many samples of this rate a diagnosis looks at."""
-    return config.most_working_samples * max(int(rate_hz / config.working_rate_hz), 1)
+    return DEFAULTS.most_working_samples * max(int(rate_hz / DEFAULTS.working_rate_hz), 1)
 
 
 def require_enough(config: DiagnosisConfig, *masks: Mask) -> None:

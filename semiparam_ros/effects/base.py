@@ -411,6 +411,11 @@ def place(kind: str, where: str | None) -> str:
     return f'{kind} at {where}' if where else kind
 
 
+def spelling(kind: str, where: str | None) -> str:
+    """The same as parameters have it: ``joint_offset@r_elbow``."""
+    return f'{kind}@{where}' if where else kind
+
+
 def channel_units(body: RigidBody, per: str = '') -> tuple[Coefficient, ...]:
     """One coefficient for each output channel, its unit divided by ``per``."""
     return tuple(Coefficient(name, unit + (f'/{per}' if per else ''))

@@ -15,7 +15,7 @@ from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 
 from semiparam_ros.effects import cables, drive, friction, geometry, loads, periodic, sensor, temperature, terms
-from semiparam_ros.effects.base import Effect
+from semiparam_ros.effects.base import Effect, spelling
 from semiparam_ros.errors import SemiparamError
 
 GROUP = 'semiparam_ros.effects'
@@ -73,7 +73,7 @@ def effect_to_text(effect: Effect, shared: tuple[float, ...] = ()) -> str:
     values: dict[str, object] = dict(effect.values)
     if effect.needs_reference and effect.reference != shared:
         values['reference'] = list(effect.reference)
-    return effect.kind + (f'@{effect.where}' if effect.where else '') + (json.dumps(values) if values else '')
+    return spelling(effect.kind, effect.where) + (json.dumps(values) if values else '')
 
 
 def effects_to_parameters(effects: Sequence[Effect]) -> tuple[tuple[str, ...], tuple[float, ...]]:

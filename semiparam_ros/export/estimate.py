@@ -22,6 +22,7 @@ from semiparam_ros.core.motion import moving
 from semiparam_ros.core.robot.frames import load_in_base
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples, variance
+from semiparam_ros.core.signals.correlation import correlation_time
 from semiparam_ros.core.signals.smoothing import smoothed
 from semiparam_ros.core.types import Array, Indices, Mask
 from semiparam_ros.effects import Effect
@@ -146,19 +147,6 @@ class SampleTable:
             table = replace(table, deviation=size * np.sqrt(memory) / FISHER,
                             weight=(DEGREES + 1.0) / (DEGREES + (left / size) ** 2))
         return table
-
-
-def correlation_time(residual: Array) -> float:
-    """Integrated correlation time [samples] of a residual (N,), at least 1: up to the first pair of
-    lags that is not positive (Geyer 1992)."""
-    centred = residual - residual.mean()
-    spectrum = np.abs(np.fft.rfft(centred, 2 * len(centred))) ** 2
-    correlation = np.fft.irfft(spectrum)[:len(centred)]
-    if not correlation[0] > 0.0:
-        return 1.0
-    pairs = correlation[:len(centred) // 2 * 2].reshape(-1, 2).sum(axis=1) / correlation[0]
-    end = int(np.argmin(pairs > 0.0)) if (pairs <= 0.0).any() else len(pairs)
-    return max(2.0 * float(pairs[:end].sum()) - 1.0, 1.0)
 
 
 def from_recording(body: RigidBody, effects: Sequence[Effect], samples: Samples,

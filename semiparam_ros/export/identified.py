@@ -31,6 +31,7 @@ from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.robot.size import LEAST_LENGTH_SHARE, SHARE, reach_of, size_of
 from semiparam_ros.core.types import Array
 from semiparam_ros.effects import Effect
+from semiparam_ros.effects.base import spelling
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.export.estimate import Estimate
 
@@ -353,7 +354,7 @@ def _left_out(columns: CoupledColumns, theta: Array) -> dict[str, float]:
     found: dict[str, float] = {}
     for index, effect in enumerate(columns.effects):
         kind, block = effect.kind, columns.blocks[str(index)]
-        head = f'{kind}@{effect.where}' if effect.where else kind
+        head = spelling(kind, effect.where)
         if effect.is_load:
             continue
         for name, value in zip(_coefficients(columns, index), theta[block].tolist(), strict=True):

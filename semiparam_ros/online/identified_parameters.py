@@ -18,6 +18,7 @@ from semiparam_ros.core.robot.joint_friction import NAMES, UNITS
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Sample
 from semiparam_ros.core.types import Array
+from semiparam_ros.effects.base import spelling
 
 TINY = 1e-300
 MOVED_ENOUGH = 0.05
@@ -226,6 +227,6 @@ def _labels(columns: CoupledColumns) -> list[tuple[str, str]]:
     if columns.has_offset:
         labels += [(f'offset_{axis}', unit) for axis, unit in zip(body.output_names, body.output_units, strict=True)]
     for effect in columns.effects:
-        head = f'{effect.kind}@{effect.where}' if effect.where else effect.kind
+        head = spelling(effect.kind, effect.where)
         labels += [(f'{head}.{name}', unit) for name, unit in effect.coefficients(body)]
     return labels

@@ -21,7 +21,7 @@ from semiparam_ros.core.robot.frames import frame_motion
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.types import Array, Mask
 from semiparam_ros.diagnosis.data.recordings import without_pauses
-from semiparam_ros.diagnosis.data.splits import ranges
+from semiparam_ros.diagnosis.data.splits import evenly, ranges
 from semiparam_ros.diagnosis.diagnose import Diagnosis
 from semiparam_ros.diagnosis.findings import Finding
 from semiparam_ros.diagnosis.regression import Fit
@@ -398,7 +398,7 @@ def _residual_label(fit: Fit, channel: int) -> str:
 
 
 def _cloud(panel: Axes, variable: Variable, residual: Array, colour: str) -> None:
-    chosen = np.unique(np.linspace(0, len(residual) - 1, MOST_POINTS).astype(int))
+    chosen = evenly(len(residual), MOST_POINTS)
     panel.plot(variable.values[chosen], residual[chosen], linestyle='none', marker='o', markersize=2.4, color=colour,
                markeredgewidth=0, alpha=0.6, rasterized=True)  # a point in SVG takes a hundred bytes
     panel.axhline(0.0, color=INK, linewidth=0.7)

@@ -160,7 +160,9 @@ def diagnosis_page(diagnosis: Diagnosis, variants: Mapping[str, VariantErrors], 
         version=__version__, title=title, verdict=diagnosis.verdict, opening=opening, words=words,
         summary=table_rows(diagnosis), next=next_step(diagnosis, written),
         headline=_headline(diagnosis), outputs=_outputs(diagnosis), rows=output_rows(diagnosis),
-        rounds=round_rows(diagnosis), over_time=_over_time(diagnosis), findings=_against_variables(diagnosis),
+        rounds=round_rows(diagnosis), over_time=_over_time(diagnosis),
+        findings=[_against_variable(diagnosis, suspicion, number)
+                  for number, suspicion in enumerate(suspicions(diagnosis))],
         structure=structure, unexplained=_unexplained(diagnosis.final, structure) if structure else None,
         formulas=_formulas(structure, diagnosis.config.declared_share) if structure else [],
         spectra=_spectra(diagnosis), candidates=_candidates(diagnosis), causes=causes(diagnosis),
@@ -213,11 +215,6 @@ def _over_time_elsewhere(diagnosis: Diagnosis, elsewhere: Elsewhere) -> Picture:
     figure = figures.over_time(time, both, _labels(diagnosis), np.zeros(len(time), dtype=bool), [])
     return picture('Residual over time, on the recording that judges', 'judged', figure,
                     f'The same models on {elsewhere.name}, of which they saw nothing.')
-
-
-def _against_variables(diagnosis: Diagnosis) -> list[Picture]:
-    return [_against_variable(diagnosis, suspicion, number)
-            for number, suspicion in enumerate(suspicions(diagnosis))]
 
 
 def _against_variable(diagnosis: Diagnosis, suspicion: Suspicion, number: int) -> Picture:

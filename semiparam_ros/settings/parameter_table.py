@@ -76,7 +76,8 @@ class Parameter:
         if isinstance(value, str) and value in self.words:
             return None
         if not _has_kind(value, self.kind):
-            return f'{self.name} is {shown(value)}; expected {EXPECTED[self.kind]}{self._hint()}.'
+            hint = f', {self.permitted}' if self.permitted else ''
+            return f'{self.name} is {shown(value)}; expected {EXPECTED[self.kind]}{hint}.'
         for item in value if isinstance(value, tuple) else (value,):
             if not self._permits(item):
                 return f'{self.name} is {shown(value)}; expected {self._wanted()}.'
@@ -93,9 +94,6 @@ class Parameter:
     def _wanted(self) -> str:
         text = self.permitted or 'finite numbers'
         return f'{text} [{self.unit}]' if self.unit else text
-
-    def _hint(self) -> str:
-        return f', {self.permitted}' if self.permitted else ''
 
 
 def declare(name: str, default: Value, description: str, **details: object) -> Any:

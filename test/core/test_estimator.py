@@ -386,19 +386,6 @@ def test_a_twin_finishes_the_window_while_the_rigid_body_goes_on(arm, recording)
     np.testing.assert_array_equal(twin.predict(sample).mean, reference.predict(sample).mean)
 
 
-def test_without_motion_but_with_noise_every_variant_stays_finite(arm):
-    rng = np.random.default_rng(0)
-    still = [Sample(i * 50_000_000, np.full(4, 0.5), np.zeros(4), np.zeros(4), 3 + 0.1 * rng.standard_normal(6))
-             for i in range(90)]
-    for variant in CHOICES:
-        model = estimator(arm, variant, initial_samples=1000)
-        for sample in still[:60]:
-            model.observe(model.predict(sample))
-        model.finish_window()
-        means = np.array([each.mean for each in run(model, still[60:])])
-        assert np.abs(means - 3).max() < 0.5, variant
-
-
 @pytest.mark.parametrize('outputs', ['wrench', 'effort'])
 def test_a_robot_that_rested_over_the_initial_window_is_predicted_within_reason_when_it_moves(arm, outputs):
     """At rest most columns hold rounding errors alone: the noise was fitted with them, by coefficients of 1e14."""
@@ -412,7 +399,8 @@ def test_a_robot_that_rested_over_the_initial_window_is_predicted_within_reason_
         for sample in still[:60]:
             model.observe(model.predict(sample))
         model.finish_window()
-        assert np.abs(run(model, still[60:])[-1].mean - 3).max() < 0.3, variant
+        off = np.abs([each.mean - 3 for each in run(model, still[60:])])
+        assert off.max() < 0.5 and off[-1].max() < 0.3, variant
         moving = Sample(70 * 50_000_000, place + 0.3, rest + 0.5, rest + 0.5, still[0].outputs)
         assert np.abs(model.predict(moving).mean).max() < 100.0, variant
 

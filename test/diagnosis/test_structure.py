@@ -12,6 +12,7 @@ from semiparam_ros.core.samples import Samples
 from semiparam_ros.diagnosis.config import DEFAULTS
 from semiparam_ros.diagnosis.data.splits import block_sums
 from semiparam_ros.diagnosis.diagnose import function_explains_more
+from semiparam_ros.diagnosis.regression import Fit
 from semiparam_ros.diagnosis.residual.flexible import fold_labels, predictions, random_features
 from semiparam_ros.diagnosis.residual.formula import find_formula, library
 from semiparam_ros.diagnosis.residual.noise import coloured_noise, resmoothed, without_input_errors
@@ -40,8 +41,13 @@ def fitted(kind=None, motion='mixed', outputs='wrench', size=1.0, seed=0, sample
 
 
 def structure_of(*case, **more):
-    body, fit, _ = fitted(*case, **more)
-    return remaining_structure(body, fit.samples, fit.residual, fit.train_mask, fit.scale)
+    return remaining_structure(fitted(*case, **more)[1])
+
+
+def leaving(samples, residual, used=True, counted=True):
+    """A model of the iCub that leaves a residual (N, 6), in use where told (N,), of outputs that count (N, 6)."""
+    used, counted = (np.broadcast_to(each, shape) for each, shape in ((used, len(samples)), (counted, residual.shape)))
+    return Fit(icub(), samples, (), used, counted, np.ones(6), np.zeros(0), residual)
 
 
 def noise(samples, seed=0, n=6):
@@ -69,27 +75,25 @@ def test_effects_of_no_kind_are_seen_at_half_size(kind, motion, outputs):
 
 
 def test_only_the_channel_that_is_touched_is_named():
-    body, fit, truth = fitted('drifting_friction', 'fourier', 'effort', 1.0, 3)
+    _, fit, truth = fitted('drifting_friction', 'fourier', 'effort', 1.0, 3)
     joint = truth[0]['where']
-    found = remaining_structure(body, fit.samples, fit.residual, fit.train_mask, fit.scale)
+    found = remaining_structure(fit)
     assert found.channels == (joint,)
     assert {each.name for each in found.variables} == {f'dq_{joint}', 'time'}
 
 
 def test_white_noise_has_no_structure_in_any_seed():
-    samples, body = smooth_motion(4, 1500), icub()
-    train_mask = np.ones(1500, dtype=bool)
-    found = [remaining_structure(body, samples, noise(samples, seed), train_mask, np.ones(6)) for seed in range(8)]
+    samples = smooth_motion(4, 1500)
+    found = [remaining_structure(leaving(samples, noise(samples, seed))) for seed in range(8)]
     assert not any(each.significant for each in found)
 
 
 @pytest.mark.parametrize('memory', [pytest.param(0.97, marks=pytest.mark.long), 0.99])
 def test_noise_that_is_correlated_over_many_samples_has_no_structure(memory):
     """A function of the motion predicts a little of such noise on the next block, though nothing is missing."""
-    samples, body = smooth_motion(4, 3000), icub()
-    train_mask = np.ones(3000, dtype=bool)
+    samples = smooth_motion(4, 3000)
     coloured = [lfilter([1.0], [1.0, -memory], noise(samples, seed), axis=0) for seed in range(2)]
-    found = [remaining_structure(body, samples, each / each.std(axis=0), train_mask, np.ones(6)) for each in coloured]
+    found = [remaining_structure(leaving(samples, each / each.std(axis=0))) for each in coloured]
     assert max(each.share for each in found) > 0.06  # the plain share alone would be an alarm
     assert not any(each.significant for each in found)
 
@@ -107,21 +111,20 @@ def test_coloured_noise_has_the_residual_s_power_and_autocorrelation():
 
 
 def test_samples_that_are_not_in_use_are_not_looked_at():
-    samples, body = smooth_motion(4, 1500), icub()
-    residual, train_mask = noise(samples), np.arange(1500) < 900
+    samples = smooth_motion(4, 1500)
+    residual, used = noise(samples), np.arange(1500) < 900
     residual[900:] += 50.0 * samples.position[900:, :1]
-    assert not remaining_structure(body, samples, residual, train_mask, np.ones(6)).significant
+    assert not remaining_structure(leaving(samples, residual, used)).significant
 
 
 def test_outputs_that_tell_nothing_are_no_zeros():
     """Zeros at every rest seemed to depend on the velocity, and made coefficients too small by a third and more."""
-    samples, body = smooth_motion(4, 2500), icub()
+    samples = smooth_motion(4, 2500)
     counted = np.ones((2500, 6), dtype=bool)
     counted[:, 1] = np.arange(2500) // 40 % 2 == 0
     residual = 0.3 * noise(samples)
     residual[:, 1] += 3.0 * samples.position[:, 3]
-    found = remaining_structure(body, samples, np.where(counted, residual, 50.0), np.ones(2500, dtype=bool),
-                                np.ones(6), counted=counted)
+    found = remaining_structure(leaving(samples, np.where(counted, residual, 50.0), counted=counted))
     assert found.channels == ('fy',) and [each.name for each in found.variables] == ['q_r_elbow']
     (formula,) = found.formulas
     (summand,) = formula.summands
@@ -144,8 +147,8 @@ def test_what_errors_of_the_motion_leave_is_told_by_outputs_that_count():
     other = body.regressors(resmoothed(samples, 15)) - body.regressors(samples)
     counted = np.arange(800)[:, None] // 40 % 2 == np.zeros(6)
     residual = np.where(counted, other @ np.linspace(1.0, 2.0, body.n_parameters), 50.0)
-    left = without_input_errors(body, samples, residual, np.ones(800, dtype=bool), np.ones(6), counted=counted)
-    assert np.abs(left[counted]).max() < 1e-3 * np.abs(residual[counted]).max()
+    unexplained = without_input_errors(leaving(samples, residual, counted=counted))
+    assert np.abs(unexplained[counted]).max() < 1e-3 * np.abs(residual[counted]).max()
 
 
 def test_motion_is_not_smoothed_across_gaps_and_breaks():
@@ -161,8 +164,8 @@ def test_motion_is_not_smoothed_across_gaps_and_breaks():
 
 
 def test_too_few_samples_give_no_verdict():
-    samples, body = smooth_motion(4, 200), icub()
-    found = remaining_structure(body, samples, noise(samples), np.ones(200, dtype=bool), np.ones(6))
+    samples = smooth_motion(4, 200)
+    found = remaining_structure(leaving(samples, noise(samples)))
     assert not found.significant and found.share == 0.0
 
 
@@ -179,7 +182,7 @@ def test_a_hidden_formula_is_found_again(formula, names):
     columns = hidden.columns(body, samples, None)[0]
     signal = columns @ np.array(list(formula.values()))
     residual = signal + 0.5 * signal[:, 1].std() * noise(samples)
-    found = remaining_structure(body, samples, residual, np.ones(2500, dtype=bool), np.ones(6))
+    found = remaining_structure(leaving(samples, residual))
     assert found.significant and found.channels == ('fy',)
     assert {each.name for each in found.variables[:len(names)]} == names
     left = signal[:, 1] - prediction(found.declarable(DEFAULTS.declared_share)[0], body, samples)
@@ -229,7 +232,7 @@ def test_a_real_recording_in_words_and_for_programs(shared_data):
     samples = icub_table(shared_data / 'icub_arm' / 'icubdyn_train.dat')
     body = RigidBody.from_urdf(ICUB_OWN.read_text(), icub().joints, 'wrench', 'r_arm_ft_sensor', 'reaction')
     fit = starting_fit(body, samples, [], np.ones(len(samples), dtype=bool))
-    found = remaining_structure(body, samples, fit.residual, fit.train_mask, fit.scale)
+    found = remaining_structure(fit)
     assert found.significant and found.share > 0.2
     report = found.as_dict()
     assert report['variables'] and np.isfinite(report['share']) and report['sentence'].endswith('.')

@@ -28,7 +28,6 @@ from semiparam_ros.effects.friction import JointEffect
 from semiparam_ros.effects.geometry import BaseShift, GravityTilt, JointOffset, ZeroSlip
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.experiments.scoreboard import body_of, samples_of
-from semiparam_ros.report.documented_effects import BEGIN, END, with_tables
 from semiparam_ros.simulation.causes.forces import PAYLOAD_RADIUS_M
 from semiparam_ros.simulation.scenario import EffectRequest, Scenario
 from semiparam_ros.simulation.simulate import simulate
@@ -735,10 +734,10 @@ def page(repository):
     return (repository / 'docs' / 'reference' / 'effects.md').read_text(encoding='utf-8')
 
 
-def test_the_documented_tables_are_those_of_the_classes(page):
-    assert with_tables(page) == page, 'run python -m semiparam_ros.report.documented_effects'
+def test_the_documented_tables_hold_every_kind(page):
+    tables = page.split('<!-- tables of effects: begin -->')[1].split('<!-- tables of effects: end -->')[0]
     tried = {name for name in {**kinds('wrench'), **kinds('effort')} if name != 'terms'}
-    assert set(re.findall(r'^\| `(\w+)` \|', page[page.index(BEGIN):page.index(END)], re.MULTILINE)) == tried
+    assert set(re.findall(r'^\| `(\w+)` \|', tables, re.MULTILINE)) == tried
 
 
 def test_the_documented_kind_is_one(repository, install):

@@ -13,7 +13,7 @@ from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.effects import effect_from_text
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.export.controllers import load_at, require_possible
-from semiparam_ros.export.estimate import correlation_time, from_recording
+from semiparam_ros.export.estimate import from_recording
 from semiparam_ros.export.identified import identify
 from semiparam_ros.export.report import document, lines, price, remark
 from semiparam_ros.export.urdf import changed_links, described_links, identified_urdf
@@ -320,12 +320,3 @@ def test_the_document_says_what_the_files_hold(arm):
     assert told['joints']['r_elbow']['friction']['unit'] == 'N m'
     assert told['errors']['consistent'] < 1.05 * told['errors']['unconstrained']
     assert price(arm[0]).startswith('On parts left out of the fit the normalised error is')
-
-
-def test_white_noise_has_no_memory_and_a_slow_one_has():
-    rng = np.random.default_rng(0)
-    noise = rng.standard_normal(20000)
-    assert correlation_time(noise) < 1.2
-    slow = np.convolve(noise, 0.9 ** np.arange(200))[:20000]
-    assert correlation_time(slow) == pytest.approx(19.0, rel=0.2)
-    assert correlation_time(np.zeros(10)) == 1.0

@@ -19,6 +19,7 @@ from semiparam_ros.online.learning import Learning
 from semiparam_ros.online.model_jobs import build
 from support.changing_arm import LOADED_S, caught, exchanged, free, loaded, offered, pushed, turned
 
+pytestmark = pytest.mark.usefixtures('motion_as_recorded')
 FLOOR_S = 40.0, 70.0
 
 

@@ -26,6 +26,8 @@ from support.changing_arm import (
 from support.learner_stage import Stage
 from support.node_helpers import InlineBackground
 
+pytestmark = pytest.mark.usefixtures('motion_as_recorded')
+
 
 def test_a_load_is_named_soon_and_again_as_more_comes_until_it_is_put_down():
     body, samples, mass = loaded()

@@ -1,6 +1,7 @@
 """A simulated arm that changes while it works: a load from one time to another, a push, a jump of
 the sensor."""
 
+from copy import deepcopy
 from dataclasses import replace
 from functools import lru_cache
 from xml.etree import ElementTree
@@ -20,6 +21,8 @@ from support.node_helpers import InlineBackground
 SETTINGS = Settings(outputs='wrench', variant='P', initial_samples=200)
 SECONDS = 130.0
 LOADED_S = 70.0, 100.0
+CALM = 1380
+"""So many samples most recordings have in common, before anything happens."""
 
 
 @lru_cache(maxsize=4)
@@ -34,6 +37,11 @@ def _scenario(load: bool, seed: int):
 
 def free(seed=3):
     """The body, and its samples as nothing happens."""
+    return _free(seed)
+
+
+@lru_cache(maxsize=4)
+def _free(seed):
     found = _recording(False, seed)
     return body_of(found), samples_of(found)
 
@@ -147,8 +155,30 @@ def elbow_rests(until=70.0, seed=4):
 
 
 def offered(body, samples, **settings):
-    """A learner that has seen samples."""
-    stage = Stage(replace(SETTINGS, **settings), background=InlineBackground(), body=body)
-    stage.offer(samples)
+    """A learner that has seen samples; what they begin with as most do is seen once for all."""
+    settings, (usual, calm) = replace(SETTINGS, **settings), free()
+    if body is usual and len(samples) >= CALM and _same(samples[:CALM], calm[:CALM]):
+        before = _calm(settings)
+        stage = deepcopy(before, {id(each): each for each in (body, *before.answers)})
+        stage.offer(samples[CALM:])
+    else:
+        stage = Stage(settings, background=InlineBackground(), body=body)
+        stage.offer(samples)
     assert not stage.failures
     return stage
+
+
+@lru_cache(maxsize=2)
+def _calm(settings):
+    """A learner that has seen the first samples of the arm to which nothing happens."""
+    body, samples = free()
+    stage = Stage(settings, background=InlineBackground(), body=body)
+    stage.offer(samples[:CALM])
+    return stage
+
+
+def _same(samples, others):
+    return all(
+        np.array_equal(getattr(samples, name), getattr(others, name))
+        for name in ('stamps', 'position', 'velocity', 'acceleration', 'outputs')
+    )

@@ -6,7 +6,8 @@ A block says in its first line, where a reader sees it too, what is special abou
 - ``# terminal 1`` it runs until Ctrl-C, while the other blocks of the page run beside it
 - ``# not tested: REASON`` it needs what no test has, such as apt or the ros2 command
 
-Blocks ``bash`` must exit with 0, blocks ``python`` too; a block ``text`` behind them is part of what they print, with
+Blocks ``bash`` must exit with 0, blocks ``python`` too; commands of ours that ask nothing of a shell are forked from a
+process that has loaded them. A block ``text`` behind them is part of what they print, with
 ``...`` for anything. Blocks ``yaml`` are parsed, and loaded as parameters where they are a parameter file.
 """
 
@@ -24,16 +25,19 @@ import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
+from typing import IO
 
 import yaml
 from markdown_it import MarkdownIt
 
 from semiparam_ros.cli.main import COMMANDS
 from semiparam_ros.settings import load_params
+from support import forked
 
 START_S, PATIENCE_S, STOP_S = 3.0, 120.0, 30.0
 RUN = {'bash': ['bash', '-euo', 'pipefail', '-c'], 'python': [sys.executable, '-c']}
@@ -142,13 +146,13 @@ class Workshop:
         """Commands of one terminal, the last of which runs until the page ends."""
         *first, last = commands(block)
         for command in first:
-            self._check(block, subprocess.run(['bash', '-c', command], **self._options()))
-        log = (self.folder / f'terminal_{block.line}.log').open('wb')
-        process = subprocess.Popen(['bash', '-c', f'exec {last}'], cwd=self.folder, env=self.environment, stdout=log,
-                                   stderr=subprocess.STDOUT)
+            self._finish(block, own_arguments(command) or ['bash', '-c', command])
+        path = self.folder / f'terminal_{block.line}.log'
+        with path.open('wb') as log:
+            process = self._begin(own_arguments(last) or ['bash', '-c', f'exec {last}'], log)
         self._background.append(process)
         time.sleep(START_S)
-        assert process.poll() is None, (str(block), Path(log.name).read_text())
+        assert process.poll() is None, (str(block), path.read_text())
 
     def _run(self, block: Block) -> str:
         if block.text in self._known:
@@ -158,19 +162,28 @@ class Workshop:
                 (self.folder / name).write_bytes(content)
             return printed
         before = self._stamps()
-        result = subprocess.run([*RUN[block.language], block.text], **self._options())
-        self._check(block, result)
+        ours = [own_arguments(command) for command in commands(block)] if block.language == 'bash' else [None]
+        processes = ours if all(ours) else [[*RUN[block.language], block.text]]
+        printed = ''.join(self._finish(block, arguments) for arguments in processes)
         if not self._background:
             made = [name for name, stamp in self._stamps().items() if before.get(name) != stamp]
-            self._known[block.text] = (result.stdout, {name: (self.folder / name).read_bytes() for name in made})
-        return str(result.stdout)
+            self._known[block.text] = (printed, {name: (self.folder / name).read_bytes() for name in made})
+        return printed
 
-    def _options(self) -> dict[str, object]:
-        return {'cwd': self.folder, 'env': self.environment, 'stdout': subprocess.PIPE, 'stderr': subprocess.STDOUT,
-                'text': True, 'timeout': PATIENCE_S, 'check': False}
+    def _begin(self, arguments: list[str], log: IO[bytes]) -> subprocess.Popen[bytes]:
+        """A process of these arguments, of which those that begin with `semiparam` are ours."""
+        if arguments[0] == 'semiparam':
+            return forked.start(arguments[1:], log, self.environment, self.folder)
+        return subprocess.Popen(arguments, cwd=self.folder, env=self.environment, stdout=log, stderr=subprocess.STDOUT)
 
-    def _check(self, block: Block, result: subprocess.CompletedProcess[str]) -> None:
-        assert result.returncode == 0, f'{block} ended with {result.returncode}:\n{block.text}\n{result.stdout}'
+    def _finish(self, block: Block, arguments: list[str]) -> str:
+        """What a process prints that must succeed."""
+        with tempfile.TemporaryFile() as log:
+            code = self._begin(arguments, log).wait(PATIENCE_S)
+            log.seek(0)
+            printed = log.read().decode()
+        assert code == 0, f'{block} ended with {code}:\n{block.text}\n{printed}'
+        return printed
 
     def _stamps(self) -> dict[str, int]:
         """When each file of the folder was written, the bundled ones apart."""
@@ -195,6 +208,13 @@ def commands(block: Block) -> list[str]:
     """The commands of a bash block, continuation lines joined, comments left out."""
     lines = block.text.replace('\\\n', ' ').splitlines()
     return [line for line in lines if line.strip() and not line.lstrip().startswith('#')]
+
+
+def own_arguments(command: str) -> list[str] | None:
+    """`semiparam` and its arguments; None of another program, and where a shell has more to do than start it."""
+    program, *arguments = shlex.split(command, comments=True)
+    first = {'semiparam': ['semiparam'], 'bag_replay': ['semiparam', 'replay']}.get(program)
+    return None if first is None or re.search(r'[|&;<>$*~]', command) else [*first, *arguments]
 
 
 def check_parses(block: Block, repository: Path) -> None:
@@ -225,8 +245,8 @@ def options_of(script: tuple[str, ...]) -> set[str]:
 
 @lru_cache
 def look_at_rules(arguments: tuple[str, ...], repository: Path) -> None:
-    """`make` knows what to do; it looks for an interpreter each time, which takes seconds."""
-    subprocess.run([shutil.which('make') or 'make', '-n', *arguments], cwd=repository, check=True,
+    """`make` knows what to do; the interpreter is given, for which it would look for a second and more."""
+    subprocess.run([shutil.which('make') or 'make', '-n', 'PYTHON=python3', *arguments], cwd=repository, check=True,
                    stdout=subprocess.DEVNULL)
 
 

@@ -1,7 +1,7 @@
 """Commands as processes of their own that have nothing to load: one process loads the node, and is forked for each.
 
 A node takes a second of processor time to load, a fork a hundredth. That commands start from nothing is looked at by
-test_stop_signals.py, test_demo.py, test_examples.py, test_node_errors.py and the blocks of the documentation.
+test_stop_signals.py, test_demo.py, test_examples.py, test_node_errors.py and test_packaging.py.
 """
 
 import atexit
@@ -15,21 +15,24 @@ from contextlib import suppress
 from functools import cache
 
 
-def start(arguments, log, environment):
-    """`semiparam` with these arguments as a process. Coverage does not count what is forked: there it loads."""
+def start(arguments, log, environment, folder=None):
+    """`semiparam` with these arguments as a process, in a folder or in this one's.
+
+    Coverage does not count what is forked: there it loads.
+    """
     if 'COVERAGE_PROCESS_CONFIG' in os.environ:
         return subprocess.Popen([sys.executable, '-m', 'semiparam_ros.cli.main', *arguments], env=environment,
-                                stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT)
-    return ForkedProcess(arguments, log, environment)
+                                cwd=folder, stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT)
+    return ForkedProcess(arguments, log, environment, folder or os.getcwd())
 
 
 class ForkedProcess:
     """`semiparam ...`, with what the tests use of ``subprocess.Popen``."""
 
-    def __init__(self, arguments, log, environment):
+    def __init__(self, arguments, log, environment, folder):
         self.returncode = None
         self._line, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        request = json.dumps([arguments, environment, os.getcwd()]).encode()
+        request = json.dumps([arguments, environment, str(folder)]).encode()
         with theirs:
             socket.send_fds(_server(), [request], [theirs.fileno(), log.fileno()])
         self.pid = int(self._line.recv(20))

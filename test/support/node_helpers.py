@@ -11,6 +11,7 @@ from semiparam_ros.bags import sample_messages
 from semiparam_ros.bags.conversion import write_description
 from semiparam_ros.bags.writer import BagWriter
 from semiparam_ros.core.samples import Sample
+from semiparam_ros.experiments.evaluation import AtOnce
 from semiparam_ros.online.worker import Urgency
 from semiparam_ros.settings import Settings
 from semiparam_ros.settings.build import build_rigid_body
@@ -32,6 +33,7 @@ SETTINGS = Settings(robot_description=URDF, joints=JOINTS, sensor_frame='ft', fe
 BODY = build_rigid_body(SETTINGS)
 PERIOD_NS = 20_000_000
 START_NS = 1_000_000_000
+InlineBackground = AtOnce
 
 
 def motion(count: int, seed: int = 0, body=BODY) -> list[Sample]:
@@ -71,21 +73,6 @@ class DelayedJob:
 
     def cancel(self):
         self.cancelled = True
-
-
-class InlineBackground:
-    """A background without a process: everything happens at once."""
-
-    def submit(self, function, *arguments, done, urgency=Urgency.SHADOW):
-        try:
-            result, error = function(*arguments), None
-        except Exception as caught:
-            result, error = None, caught
-        done(result, error)
-        return DelayedJob(b'', done)
-
-    def later(self, function):
-        function()
 
 
 class DelayedBackground:

@@ -5,7 +5,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from semiparam_ros.core.types import Array, Mask
+from semiparam_ros.core.signals.correlation import correlation_time
+from semiparam_ros.core.types import Array, Indices, Mask
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
 
 
@@ -20,6 +21,11 @@ def leading_split(count: int, share: float) -> Mask:
     return np.arange(count) < round(count * share)
 
 
+def evenly(count: int, most: int) -> Indices:
+    """(k,) at most so many of the numbers up to a count, evenly spread, the first and the last among them."""
+    return np.unique(np.linspace(0, count - 1, most).astype(int))
+
+
 def ranges(mask: Mask) -> list[tuple[int, int]]:
     """Half-open index ranges where a mask is true."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(int)))
@@ -32,24 +38,5 @@ def block_sums(values: Array, blocks: int) -> Array:
 
 
 def correlation_times(residual: Array, config: DiagnosisConfig = DEFAULTS) -> Array:
-    """(n,) integrated autocorrelation time of each channel in samples, at least 1.
-
-    Sums pairs of neighbouring autocorrelations while they stay positive (Geyer 1992).
-    """
-    return np.array([_channel_time(column, config.longest_correlation_share) for column in residual.T])
-
-
-def autocovariance(values: Array) -> Array:
-    """(2 N,) sums of products of values (N,), less their mean, with those after them, by lag."""
-    spectrum = np.fft.rfft(values - values.mean(), 2 * len(values))
-    return np.asarray(np.fft.irfft(np.abs(spectrum) ** 2))
-
-
-def _channel_time(values: Array, longest_share: float) -> float:
-    covariance = autocovariance(values)[:max(int(longest_share * len(values)), 2)]
-    if covariance[0] <= 0.0:
-        return 1.0
-    correlation = covariance / covariance[0]
-    pairs = correlation[:len(correlation) // 2 * 2].reshape(-1, 2).sum(axis=1)
-    negative = np.flatnonzero(pairs <= 0.0)
-    return float(max(1.0, 2.0 * pairs[:negative[0] if len(negative) else None].sum() - 1.0))
+    """(n,) integrated autocorrelation time of each channel in samples, at least 1."""
+    return np.array([correlation_time(column, config.longest_correlation_share) for column in residual.T])

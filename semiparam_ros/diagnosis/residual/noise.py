@@ -24,10 +24,10 @@ from scipy.linalg import solve_toeplitz
 
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
+from semiparam_ros.core.signals.correlation import autocovariance
 from semiparam_ros.core.types import Array, Mask
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
 from semiparam_ros.diagnosis.data.outliers import gaps, typical_step
-from semiparam_ros.diagnosis.data.splits import autocovariance
 from semiparam_ros.diagnosis.regression import Fit, refit_weights, refitted
 
 WHITENING = 1e-9
@@ -68,23 +68,18 @@ def _autoregression(values: Array, order: int) -> tuple[Array, float]:
     return weights, float(np.sqrt(covariance[0] - weights @ covariance[1:]))
 
 
-def without_input_errors(body: RigidBody, samples: Samples, residual: Array, train_mask: Mask, scale: Array,
-                         config: DiagnosisConfig = DEFAULTS, counted: Mask | None = None) -> Array:
-    """(N, n) residual less all that regressors at differently smoothed inputs explain of it.
-
-    :param train_mask: (N,) samples that fit. :param scale: (n,) weight of channel k is 1 / scale[k]^2.
-    :param counted: (N, n) outputs that tell something; all unless given.
-    """
-    if train_mask.sum() < 4 * max(config.resmoothing_windows):
-        return residual
+def without_input_errors(fit: Fit) -> Array:
+    """(N, n) residual of a model less all that regressors at differently smoothed inputs explain of it."""
+    body, samples, config = fit.body, fit.samples, fit.config
+    if fit.train_mask.sum() < 4 * max(config.resmoothing_windows):
+        return fit.residual
     others = [body.regressors(resmoothed(samples, window, config)) for window in config.resmoothing_windows]
     columns = np.concatenate([body.regressors(samples), *others], axis=2)
-    use = np.broadcast_to(True, residual.shape) if counted is None else counted
-    use = use & train_mask[:, None]
-    rows, left = (columns / scale[:, None])[use], (residual / scale)[use]
+    use = fit.counted & fit.train_mask[:, None]
+    rows, left = (columns / fit.scale[:, None])[use], (fit.residual / fit.scale)[use]
     size = np.linalg.norm(rows, axis=0) + 1e-12
     change = np.linalg.lstsq(rows / size, left, rcond=RANK)[0] / size
-    return np.asarray(residual - columns @ change)
+    return np.asarray(fit.residual - columns @ change)
 
 
 def resmoothed(samples: Samples, window: int, config: DiagnosisConfig = DEFAULTS) -> Samples:

@@ -6,10 +6,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from semiparam_ros.core.robot.rigid_body import RigidBody
-from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array, Mask, Stamps
-from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
+from semiparam_ros.diagnosis.config import DiagnosisConfig
+from semiparam_ros.diagnosis.regression import Fit
 from semiparam_ros.diagnosis.residual.flexible import StandardisedInputs, explained
 from semiparam_ros.diagnosis.residual.formula import Dependence, Formula, dependences, find_formula
 from semiparam_ros.diagnosis.residual.noise import coloured_noise, without_input_errors
@@ -56,21 +55,13 @@ class Structure:
                 'families': self.families, 'sentence': self.sentence}
 
 
-def remaining_structure(body: RigidBody, samples: Samples, residual: Array, train_mask: Mask, scale: Array,
-                        config: DiagnosisConfig = DEFAULTS, counted: Mask | None = None) -> Structure:
-    """Look for structure in the residual (N, n) of a fitted model.
-
-    :param train_mask: (N,) samples to look at. :param scale: (n,) weight of channel k is 1 / scale[k]^2.
-    :param counted: (N, n) outputs that tell something; all unless given.
-    """
-    counted = np.ones(residual.shape, dtype=bool) if counted is None else counted
-    rows = samples_to_look_at(train_mask, config)
+def remaining_structure(fit: Fit) -> Structure:
+    """Look for structure in the residual of a fitted model, where it is fitted."""
+    body, config, rows = fit.body, fit.config, samples_to_look_at(fit.train_mask, fit.config)
     if len(rows) < config.structure_least_samples:
         return Structure(share=0.0, channel_shares=np.zeros(body.n_outputs), significant=False)
-    motion = StandardisedInputs(body.joints, samples[rows], config)
-    guarded = without_input_errors(body, samples, residual, train_mask, scale, config, counted)[rows] / scale
-    counted = counted[rows]
-    guarded = guarded * counted
+    motion, counted = StandardisedInputs(body.joints, fit.samples[rows], config), fit.counted[rows]
+    guarded = without_input_errors(fit)[rows] / fit.scale * counted
     found, families = explained(motion, guarded, counted=counted)
     gains, power = np.sum(guarded**2 - (guarded - found) ** 2, axis=0), np.sum(guarded**2, axis=0) + 1e-300
     share, shares = float(gains.sum() / power.sum()), gains / power
@@ -82,20 +73,20 @@ def remaining_structure(body: RigidBody, samples: Samples, residual: Array, trai
         return Structure(share=share, channel_shares=shares, significant=False, families=families)
     if not affected.any():
         affected = shares >= shares.max()
-    return _described(body, samples[rows], motion, residual[rows] * counted, scale, counted, affected,
+    return _described(fit, rows, motion, affected,
                       Structure(share=share, channel_shares=shares, significant=True, families=families))
 
 
-def _described(body: RigidBody, samples: Samples, motion: StandardisedInputs, residual: Array,
-               scale: Array, counted: Mask, affected: Array, structure: Structure) -> Structure:
-    """The structure with its channels, its variables and its formulas."""
-    numbers = np.flatnonzero(affected)
-    variables = dependences(motion, (residual / scale)[:, numbers], float(structure.channel_shares[numbers].mean()),
+def _described(fit: Fit, rows: Stamps, motion: StandardisedInputs, affected: Array, structure: Structure) -> Structure:
+    """The structure with its channels, its variables and its formulas, from some of the samples."""
+    numbers, samples, counted = np.flatnonzero(affected), fit.samples[rows], fit.counted[rows]
+    residual = fit.residual[rows] * counted
+    variables = dependences(motion, (residual / fit.scale)[:, numbers], float(structure.channel_shares[numbers].mean()),
                             counted[:, numbers])
-    names = [each.name for each in variables][:motion.config.most_variables]
-    formulas = [find_formula(names, body, samples[use], residual[use, channel], int(channel), motion.config)
+    names = [each.name for each in variables][:fit.config.most_variables]
+    formulas = [find_formula(names, fit.body, samples[use], residual[use, channel], int(channel), fit.config)
                 for channel, use in zip(numbers, counted.T[numbers], strict=True)]
-    return replace(structure, channels=tuple(body.output_names[k] for k in numbers), variables=variables,
+    return replace(structure, channels=tuple(fit.body.output_names[k] for k in numbers), variables=variables,
                    formulas=tuple(formula for formula in formulas if formula is not None))
 
 

@@ -26,6 +26,7 @@ from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array, Mask, Stamps
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
 from semiparam_ros.diagnosis.data.outliers import typical_step, untouched, working_factor
+from semiparam_ros.diagnosis.data.splits import evenly
 from semiparam_ros.diagnosis.preparation import Inputs
 from semiparam_ros.diagnosis.setup.prior_misfit import (
     Equations,
@@ -106,7 +107,7 @@ def _without_declared(body: RigidBody, samples: Samples, effects: Sequence[Effec
 
 def _spread(usable: Stamps, config: DiagnosisConfig) -> Stamps:
     """Some of these sample numbers, evenly spread."""
-    return usable[np.unique(np.linspace(0, len(usable) - 1, config.setup_samples).astype(int))]
+    return usable[evenly(len(usable), config.setup_samples)]
 
 
 def _smoothed(usable: Mask, right: Samples, config: DiagnosisConfig) -> Samples:
@@ -155,9 +156,9 @@ def _mostly_zero(body: RigidBody, samples: Samples, config: DiagnosisConfig) -> 
             found.append((name, float(share[channel])))
     if not found:
         return []
-    listed = ', '.join(f'{name} {100 * part:.0f} %' for name, part in found)
+    shares = ', '.join(f'{name} {100 * part:.0f} %' for name, part in found)
     return [SetupProblem('outputs_zero', found[0][0], (
-        f'Outputs are exactly zero in most samples ({listed}) and leap from there to full values: the driver writes 0 '
+        f'Outputs are exactly zero in most samples ({shares}) and leap from there to full values: the driver writes 0 '
         'where it has no new reading; have it publish measured values alone, or convert the recording without these '
         'rows.'))]
 
@@ -325,7 +326,7 @@ def _spans(time: Array, values: Array, rates: Array, config: DiagnosisConfig) ->
     width = int(np.clip(round(config.span_s / typical), 1, max(len(time) // config.least_working_samples, 1)))
     pieces = 0.5 * (rates[1:] + rates[:-1]) * steps[:, None]
     total = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(pieces, axis=0)])
-    starts = np.unique(np.linspace(0, max(len(time) - 1 - width, 0), config.most_samples).astype(int))
+    starts = evenly(max(len(time) - width, 1), config.most_samples)
     ends = np.minimum(starts + width, len(time) - 1)
     whole = time[ends] - time[starts] < (width + config.gap_steps) * typical
     starts, ends = starts[whole], ends[whole]

@@ -12,6 +12,7 @@ from semiparam_ros.core.samples import Samples
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
 from semiparam_ros.diagnosis.data.outliers import gaps
 from semiparam_ros.diagnosis.data.recordings import own_time
+from semiparam_ros.diagnosis.data.splits import evenly
 
 MOST_GAPS_NAMED = 3
 
@@ -67,8 +68,7 @@ def _gaps(samples: Samples, names: Sequence[str], config: DiagnosisConfig) -> li
 
 
 def _unseen(body: RigidBody, samples: Samples, config: DiagnosisConfig) -> list[str]:
-    rows = np.unique(np.linspace(0, len(samples) - 1, config.setup_samples).astype(int))
-    names = unseen_bodies(body, samples[rows], config)
+    names = unseen_bodies(body, samples[evenly(len(samples), config.setup_samples)], config)
     if not names:
         return []
     return [f'The motion does not show how heavy every part is: masses or centres of mass of {listed(names)} stay at '

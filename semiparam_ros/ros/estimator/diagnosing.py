@@ -12,6 +12,7 @@ from rclpy.node import Node
 from std_msgs.msg import String
 
 from semiparam_ros.effects import Effect, effects_to_parameters
+from semiparam_ros.effects.base import spelling
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online import diagnosis_jobs
 from semiparam_ros.online.applied_effects import Contribution
@@ -233,4 +234,4 @@ def _left_out(samples: SampleBatch, contacts: Sequence[tuple[int, int]]) -> str:
 
 def _listed(effects: tuple[Effect, ...]) -> str:
     """Kinds and places, without their values."""
-    return ', '.join(effect.kind + (f'@{effect.where}' if effect.where else '') for effect in effects) or 'no effects'
+    return ', '.join(spelling(effect.kind, effect.where) for effect in effects) or 'no effects'
