@@ -102,7 +102,8 @@ def run(args: argparse.Namespace) -> int:
     from semiparam_ros.settings import load_params
     from semiparam_ros.settings.build import build_rigid_body
 
-    options.require_places(args.json, args.plot, args.external_wrench)
+    options.require_places(args.json, args.plot, args.external_wrench,
+                           inputs=[*args.bags, *args.train, args.params])
     if args.plot:
         picture_format(args.plot)
     settings = replace(load_params(args.params), diagnosis_auto=args.auto)

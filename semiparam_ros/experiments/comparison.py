@@ -46,6 +46,7 @@ NAMES = {'eps_force': 'force', 'eps_torque': 'torque', 'eps_effort': 'effort'}
 class ComparisonScenario:
     """One comparison.
 
+    :param settings: with the joints by name.
     :param train: the initial window, then what is learnt online. :param test: what is predicted, in ``subsets``.
     :param subsets: (first, last + 1) rows of ``test``; each starts from the model that ``train`` left.
     """
@@ -81,7 +82,7 @@ def scenario_from(settings: Settings, train: LoadedBag, test: LoadedBag, *, subs
     require_same_robot(settings, [train, test])
     settings = replace(settings, forgetting=1.0) if settings.forgetting == AUTO else settings
     settings = replace(settings, features_count=model_options(settings).most_features, priors='paper',
-                       joint_friction=False, features_frequencies='independent')
+                       joint_friction=False, features_frequencies='independent', joints=train.joints)
     if train_samples is not None and train_samples < 1:
         raise SemiparamError(f'{train_samples} samples of the first recording were asked for; expected at least 1.')
     learnt = train.samples[:train_samples]
