@@ -129,7 +129,7 @@ class BagReader(ABC):
         """Messages in order of time; those of equal times in the order in which they were recorded.
 
         :param topics: only these (all of them by default).
-        :param order: 'log', 'publish' or 'header', as of :meth:`timed`. The last two hold the chosen messages in memory.
+        :param order: 'log', 'publish' or 'header', as of :meth:`timed`. The last two hold what is chosen in memory.
         :param start_ns: only messages at or after this log time; ``end_ns``: only before it.
         :param decode: False leaves ``data`` None, which is several times faster.
         """

@@ -93,7 +93,7 @@ def scenario_from(settings: Settings, train: LoadedBag, test: LoadedBag, *, subs
     if not seeds:
         raise SemiparamError('the comparison has no feature seed; expected at least one.')
     split = _split(len(test.samples), test_from, subsets, subset_samples, settings.horizon_length)
-    if not np.ptp(test.samples.outputs[test_from:split[-1][1]], axis=0).any():
+    if not variance(test.samples.outputs[test_from:split[-1][1]]).any():
         raise SemiparamError('every output of the second recording is constant; expected outputs that vary, for errors '
                              'are measured against their variance.')
     return ComparisonScenario(settings, learnt, test.samples,
