@@ -101,7 +101,7 @@ def run(args: argparse.Namespace) -> int:
 
 def diagnose_bag(args: argparse.Namespace, settings: Settings) -> Diagnosis:
     """Load what the options name and diagnose it, with progress on a terminal."""
-    from semiparam_ros.bags.loading import require_same_robot
+    from semiparam_ros.bags.loading import description_in, require_same_robot
     from semiparam_ros.cli.evaluate import load_bags
     from semiparam_ros.core.samples import Samples
     from semiparam_ros.diagnosis.data.outliers import working_factor
@@ -126,7 +126,7 @@ def diagnose_bag(args: argparse.Namespace, settings: Settings) -> Diagnosis:
             options.console.print(
                 f'{path} is long: {len(bag.stretches)} stretches of it are looked at, '
                 f'{len(bag.samples)} samples evenly spread over {bag.samples.time[-1]:.0f} s.')
-    body = build_rigid_body(settings, bags[0].robot_description)
+    body = build_rigid_body(settings, description_in([*bags, *judges]))
     recordings, judging = ([whole_groups(bag.samples, working_factor(bag.samples), bag.stretches) for bag in some]
                            for some in (bags, judges))
     samples = recordings[0] if len(recordings) == 1 else Samples.joined(of_one_rate(recordings))

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import norm
 
-from semiparam_ros.bags.loading import LoadedBag, require_same_robot
+from semiparam_ros.bags.loading import LoadedBag, description_in, require_same_robot
 from semiparam_ros.core.estimator import Estimator, EstimatorState
 from semiparam_ros.core.hyperparameters.estimation import Hyperparameters
 from semiparam_ros.core.initial_window import gathered_from
@@ -97,7 +97,7 @@ def scenario_from(settings: Settings, train: LoadedBag, test: LoadedBag, *, subs
         raise SemiparamError('every output of the second recording is constant; expected outputs that vary, for errors '
                              'are measured against their variance.')
     return ComparisonScenario(settings, learnt, test.samples,
-                              train.robot_description or test.robot_description, split,
+                              description_in([train, test]), split,
                               tuple(variants), tuple(seeds), estimation or Estimation())
 
 

@@ -8,7 +8,6 @@ from typing import TypeAlias
 
 import pinocchio as pin
 
-from semiparam_ros.core.robot import urdf as urdf_tree
 from semiparam_ros.errors import SemiparamError
 
 Element: TypeAlias = ElementTree.Element
@@ -17,10 +16,18 @@ MAX_ANGLE = '3.141592653589793'
 
 
 def parse(urdf: str) -> Element:
-    """URDF text -> its ``robot`` element; anything but one tree raises SemiparamError (pinocchio follows a loop until
-    the process dies)."""
-    urdf_tree.parse(urdf)
-    return ElementTree.fromstring(urdf)
+    """URDF text -> its ``robot`` element; anything else raises SemiparamError."""
+    try:
+        robot = ElementTree.fromstring(urdf)
+    except ElementTree.ParseError as error:
+        raise SemiparamError(f'the robot description is not XML: {error}.') from error
+    if robot.tag != 'robot':
+        raise SemiparamError(f"the robot description begins with <{robot.tag}>; expected a URDF's <robot>.")
+    children = [child.get('link') for child in robot.findall('joint/child')]
+    for name in children:
+        if children.count(name) > 1:  # pinocchio follows the loop until the process dies
+            raise SemiparamError(f"link '{name}' of the robot description is the child of two joints; expected a tree.")
+    return robot
 
 
 def build(robot: Element) -> pin.Model:
