@@ -131,6 +131,14 @@ def test_a_mistake_of_the_user_is_one_sentence(command, capsys):
     assert capsys.readouterr().err == 'semiparam: the bag has no topic /wrench.\n'
 
 
+def test_an_interrupt_within_an_import_is_no_internal_error(command, capsys):
+    """As RuntimeError: Error calling __set_name__ on 'Field' instance."""
+    error = RuntimeError('Error calling __set_name__')
+    error.__cause__ = KeyboardInterrupt()
+    command(raising(error))
+    assert cli.main(['bench']) == 130 and not capsys.readouterr().err
+
+
 def test_a_missing_file_is_one_sentence(command, capsys):
     command(lambda args: len(Path('/nowhere/at/all').read_text()))
     assert cli.main(['bench']) == 2
