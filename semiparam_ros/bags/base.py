@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import os
 from abc import ABC, abstractmethod
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, field
-from operator import attrgetter
+from operator import itemgetter
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -129,8 +129,7 @@ class BagReader(ABC):
         """Messages in order of time; those of equal times in the order in which they were recorded.
 
         :param topics: only these (all of them by default).
-        :param order: 'log', 'publish' or 'header' (the header's stamp; log time for types without a header). The
-            last two hold the chosen messages in memory.
+        :param order: 'log', 'publish' or 'header', as of :meth:`timed`. The last two hold what is chosen in memory.
         :param start_ns: only messages at or after this log time; ``end_ns``: only before it.
         :param decode: False leaves ``data`` None, which is several times faster.
         """
@@ -139,16 +138,33 @@ class BagReader(ABC):
         wanted = set(self.topics) if topics is None else set(topics) & set(self.topics)
         found = self._log_order(wanted, start_ns, end_ns)
         if order != 'log':
-            time = attrgetter('publish_time') if order == 'publish' else self.header_time
-            found = iter(sorted(found, key=time))
+            found = (message for _, message in sorted(self.timed(found, order), key=itemgetter(0)))
         return self._decoded(found) if decode else found
 
-    def header_time(self, message: Message) -> int:
-        """Stamp of the message's header [ns], read without decoding; the log time where there is no header."""
+    def timed(self, messages: Iterable[Message], order: str) -> Iterator[tuple[int, Message]]:
+        """Each of some messages in order of log time, and its time [ns]: of being logged, published, or its header's
+        stamp. One without a stamp has its log time by the clock of the stamps: as the last one before it, or the
+        first of all.
+        """
+        ahead: int | None = None
+        unstamped = list[Message]()
+        for message in messages:
+            stamp = message.log_time if order == 'log' else message.publish_time if order == 'publish' else \
+                self._stamp(message)
+            if stamp is not None:
+                ahead = stamp - message.log_time
+            unstamped.append(message)
+            if ahead is not None:
+                yield from ((each.log_time + ahead, each) for each in unstamped)
+                unstamped.clear()
+        yield from ((each.log_time, each) for each in unstamped)
+
+    def _stamp(self, message: Message) -> int | None:
+        """Stamp of the message's header [ns], read without decoding; None without a header, or one that is not set."""
         info = self.topics[message.topic]
         if info.encoding != 'cdr' or not schemas.has_header(info.type, info.schema) or len(message.raw) < 12:
-            return message.log_time
-        return read_stamp(message.raw)
+            return None
+        return read_stamp(message.raw) or None
 
     def _decoded(self, found: Iterator[Message]) -> Iterator[Message]:
         decoders = {topic: self._decoder(info) for topic, info in self.topics.items()}

@@ -97,6 +97,11 @@ def require_same_robot(settings: Table, bags: Sequence[LoadedBag]) -> None:
                              'the parameter robot_description_file.')
 
 
+def description_in(bags: Iterable[LoadedBag]) -> str | None:
+    """The first robot description that recordings of one robot carry; None where none has one."""
+    return next((bag.robot_description for bag in bags if bag.robot_description), None)
+
+
 def measured_accelerations(settings: Table, published: bool) -> bool:
     """Tell whether accelerations come from their topic, by ``acceleration.source`` and what is
     published."""

@@ -43,7 +43,7 @@ def parse_profiles(text: str | Sequence[object] | None) -> tuple[Qos, ...]:
     """The recorded offers, from YAML text or its parsed list; anything else that is not a profile is left out."""
     try:
         entries = yaml.safe_load(text) if isinstance(text, str) else text
-    except yaml.YAMLError:
+    except (yaml.YAMLError, RecursionError):
         entries = None
     if not isinstance(entries, Sequence) or isinstance(entries, str):
         return ()

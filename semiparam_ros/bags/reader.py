@@ -122,7 +122,7 @@ def _metadata(path: Path) -> dict[str, Any]:
     """Content of metadata.yaml; nothing where it is missing or damaged: the files tell enough."""
     try:
         return dict(yaml.safe_load((path / 'metadata.yaml').read_text())['rosbag2_bagfile_information'])
-    except (OSError, UnicodeDecodeError, yaml.YAMLError, KeyError, TypeError, ValueError):
+    except (OSError, UnicodeDecodeError, yaml.YAMLError, RecursionError, KeyError, TypeError, ValueError):
         return {}
 
 

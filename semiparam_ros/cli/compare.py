@@ -52,7 +52,7 @@ def run(args: argparse.Namespace) -> int:
     from semiparam_ros.experiments.parallel import workers
     from semiparam_ros.report.comparison_page import as_dictionary, page
 
-    options.require_places(args.output, args.json)
+    options.require_places(args.output, args.json, inputs=[args.train, args.test, args.params])
     scenario = scenario_of(args)
     with workers(args.jobs, args.scheduler), options.progress_bar() as bar:
         task = bar.add_task('comparing', total=steps(scenario))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -20,7 +19,7 @@ from semiparam_ros.bags.text_tables import (
     load_layout,
 )
 from semiparam_ros.bags.writer import BagWriter
-from semiparam_ros.cli.options import console, progress_bar, require_bag_name
+from semiparam_ros.cli.options import console, progress_bar, require_bag_name, require_places
 from semiparam_ros.errors import SemiparamError
 
 HELP = 'Convert a table (text, .npz, .mat) or a bag (ROS 1, rosbag2, damaged MCAP) to an MCAP bag.'
@@ -80,8 +79,7 @@ def _add_bag_arguments(group: Any) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Convert, and say on standard error what came out."""
-    if args.output.exists() and args.input.exists() and os.path.samefile(args.input, args.output):
-        raise SemiparamError(f'{str(args.output)!r} is the input itself; expected another name for the output.')
+    require_places(args.output, inputs=[args.input, args.columns, args.robot_description])
     require_bag_name(args.output)
     description = read_description(args.robot_description) if args.robot_description else None
     table = holds_arrays(args.input) or not is_bag(args.input)

@@ -18,6 +18,10 @@ if TYPE_CHECKING:
     from semiparam_ros.experiments.variants_with_effects import VariantErrors
     from semiparam_ros.settings import Settings
 
+OF_BAGS = {'bags': 'BAG', 'params': '--params', 'judge': '--judge', 'inside': '--in', 'split': '--split',
+           'output': '--output', 'html': '--html', 'variants': '--variants'}
+"""Options that a diagnosis of recordings has and the scoreboard has not, by their names in the arguments."""
+
 HELP = 'Find what the model lacks in a recording, name the effect, add it, and show the error before and after.'
 
 
@@ -61,9 +65,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Diagnose one recording, or the simulator's."""
-    options.require_places(args.json, args.output, args.html)
+    read = [*args.bags, args.judge]
+    options.require_places(args.json, args.output, args.html, inputs=read)
+    options.require_places(args.json, args.html, inputs=[args.params])
     options.require_counts(args, 'jobs', 'seeds')
     if args.benchmark:
+        for name, option in OF_BAGS.items():
+            if getattr(args, name) not in (None, []):
+                raise SemiparamError('--benchmark diagnoses recordings that it simulates; expected no '
+                                     f'{option} beside it.')
         return _benchmark(args)
     if not args.bags:
         raise SemiparamError('diagnose needs a BAG, or --benchmark.')
@@ -91,7 +101,7 @@ def run(args: argparse.Namespace) -> int:
 
 def diagnose_bag(args: argparse.Namespace, settings: Settings) -> Diagnosis:
     """Load what the options name and diagnose it, with progress on a terminal."""
-    from semiparam_ros.bags.loading import require_same_robot
+    from semiparam_ros.bags.loading import description_in, require_same_robot
     from semiparam_ros.cli.evaluate import load_bags
     from semiparam_ros.core.samples import Samples
     from semiparam_ros.diagnosis.data.outliers import working_factor
@@ -116,7 +126,7 @@ def diagnose_bag(args: argparse.Namespace, settings: Settings) -> Diagnosis:
             options.console.print(
                 f'{path} is long: {len(bag.stretches)} stretches of it are looked at, '
                 f'{len(bag.samples)} samples evenly spread over {bag.samples.time[-1]:.0f} s.')
-    body = build_rigid_body(settings, bags[0].robot_description)
+    body = build_rigid_body(settings, description_in([*bags, *judges]))
     recordings, judging = ([whole_groups(bag.samples, working_factor(bag.samples), bag.stretches) for bag in some]
                            for some in (bags, judges))
     samples = recordings[0] if len(recordings) == 1 else Samples.joined(of_one_rate(recordings))

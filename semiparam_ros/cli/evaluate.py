@@ -97,12 +97,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Evaluate every variant in turn on the same samples."""
-    from semiparam_ros.bags.loading import require_same_robot
+    from semiparam_ros.bags.loading import description_in, require_same_robot
     from semiparam_ros.report.horizon_figure import picture_format
     from semiparam_ros.settings import load_params
     from semiparam_ros.settings.build import build_rigid_body
 
-    options.require_places(args.json, args.plot, args.external_wrench)
+    options.require_places(args.json, args.plot, args.external_wrench,
+                           inputs=[*args.bags, *args.train, args.params])
     if args.plot:
         picture_format(args.plot)
     settings = replace(load_params(args.params), diagnosis_auto=args.auto)
@@ -118,13 +119,13 @@ def run(args: argparse.Namespace) -> int:
     changes: dict[int, ChangeRecord] | None = None if args.auto == 'off' else {}
     training, bags = (load_bags(paths, settings, with_tools=True) for paths in (args.train, args.bags))
     require_same_robot(settings, [*bags, *training])
+    body = build_rigid_body(replace(settings, joints=bags[0].joints), description_in([*bags, *training]))
     with options.progress_bar() as progress:
         scores = {variant: evaluate(replace(settings, variant=variant), training, bags, args.frozen, progress,
                                     waits, rows, changes)
                   for variant in variants}
     results = {variant: score.result(args.series) for variant, score in scores.items()}
     print_scores(options.output, results)
-    body = build_rigid_body(replace(settings, joints=bags[0].joints), bags[0].robot_description)
     print_outputs(options.output, results, body.output_names, body.output_units)
     if settings.features_count == 'auto':
         chosen = ', '.join(f'{result["features"]} ({variant})' for variant, result in results.items()

@@ -68,7 +68,7 @@ def run(args: argparse.Namespace) -> int:
     from semiparam_ros.settings import load_params
 
     paths = {form: _path(args, form) for form in FORMS}
-    options.require_places(args.json, *paths.values())
+    options.require_places(args.json, *paths.values(), inputs=[args.source, args.params])
     settings = load_params(args.params)
     texts = [f'payload@{link}' for link in args.load]
     settings = replace(settings, effects=(*settings.effects, *texts))

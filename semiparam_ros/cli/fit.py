@@ -63,7 +63,8 @@ def run(args: argparse.Namespace) -> int:
     from semiparam_ros.experiments.initial_window import fitted_settings
     from semiparam_ros.settings import dump_params, load_params
 
-    options.require_places(args.output, args.json)
+    options.require_places(args.output, args.json, inputs=[args.bag])
+    options.require_places(args.json, inputs=[args.params])
     settings = load_params(args.params)
     settings = replace(settings, variant=chosen_variants([args.variant] if args.variant else None, settings)[0])
     estimation = estimation_of(args)

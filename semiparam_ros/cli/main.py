@@ -59,8 +59,8 @@ def main(argv: Sequence[str] | None = None, prog: str = 'semiparam') -> int:
         return _complain(prog, f'{name}{error.strerror or error}.', BAD_INPUT)
     except ModuleNotFoundError as error:
         return _unexpected(prog, error) if _ours(error) else _complain(prog, _missing(error), BAD_INPUT)
-    except Exception as error:
-        return _unexpected(prog, error)
+    except Exception as error:  # Ctrl-C in the midst of an import may be its cause
+        return INTERRUPTED if isinstance(error.__cause__, KeyboardInterrupt) else _unexpected(prog, error)
 
 
 def estimator() -> int:

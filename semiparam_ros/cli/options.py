@@ -5,7 +5,8 @@ from __future__ import annotations
 import argparse
 import json
 import math
-from collections.abc import Mapping, Sequence
+import os
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -58,11 +59,16 @@ def progress_bar() -> Progress:
     return Progress(*columns, console=console, disable=not console.is_terminal)
 
 
-def require_places(*paths: Path | None) -> None:
-    """Raises SemiparamError where a result could not be written, before minutes of work rather than after them."""
-    for path in paths:
-        if path is None:
-            continue
+def require_places(*paths: Path | None, inputs: Iterable[Path | None] = ()) -> None:
+    """Raises SemiparamError where a result could not be written, before minutes of work rather than after them, or
+    would replace another one or what is read."""
+    given = [path for path in paths if path is not None]
+    read = [file for path in inputs if path is not None for file in (path.iterdir() if path.is_dir() else [path])]
+    for index, path in enumerate(given):
+        if os.path.realpath(path) in map(os.path.realpath, given[:index]):
+            raise SemiparamError(f'{path} is named for two results; expected another name for each.')
+        if path.exists() and any(file.exists() and path.samefile(file) for file in read):
+            raise SemiparamError(f'{path} is read, too; expected another name for the output.')
         folder = path.absolute().parent
         if not folder.is_dir():
             raise SemiparamError(f'cannot write {path}: there is no folder {folder}.')

@@ -49,7 +49,7 @@ def run(args: argparse.Namespace) -> int:
     from semiparam_ros.ros.record.session import RecordSession
 
     require_bag_name(args.bag)
-    require_places(args.json)
+    require_places(args.bag, args.json)
     account = RecordSession(_options(args), console, args.ros_args).run()
     console.print(account.sentence, soft_wrap=True)
     if args.json:

@@ -82,7 +82,7 @@ def run(args: argparse.Namespace) -> int:
     """Play, tell the account, and return 1 when a message was lost or the follower fell silent."""
     from semiparam_ros.ros.replay.session import ReplaySession
 
-    require_places(args.json)
+    require_places(args.json, inputs=[*args.bags, args.qos_profile_overrides_path])
     account = ReplaySession(_options(args), console, args.ros_args).run()
     for sentence in account.sentences():
         console.print(sentence, soft_wrap=True)

@@ -77,7 +77,7 @@ def run(args: argparse.Namespace) -> int:
         return _list_kinds(args.outputs or 'wrench')
     if args.bag is None:
         raise SemiparamError('the name of the recording to write is missing; expected OUT.mcap.')
-    require_places(args.bag, args.truth)
+    require_places(args.bag, args.truth, inputs=[args.params, args.urdf])
     require_bag_name(args.bag)
     recording = simulate(scenario_of(args))
     write_bag(args.bag, recording)

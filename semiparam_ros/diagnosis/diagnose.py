@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -188,6 +189,17 @@ class Diagnosis:
         return {'recording': self.elsewhere.name if self.elsewhere else None, 'ranges': parts}
 
 
+@contextmanager
+def _solved() -> Iterator[None]:
+    """Raise SemiparamError where doubles do not hold the solution of an equation."""
+    try:
+        yield
+    except np.linalg.LinAlgError as error:
+        raise SemiparamError(f'nothing can be fitted to the samples ({error}): motion, outputs or the robot '
+                             'description may be in other units.') from error
+
+
+@_solved()
 def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), train_mask: Mask | None = None,
              other: tuple[str, Samples] | None = None, only: Sequence[str] = (),
              progress: Progress = lambda words, share: None, config: DiagnosisConfig = DEFAULTS,
@@ -261,6 +273,7 @@ class _Start(NamedTuple):
     elsewhere: Elsewhere | None
 
 
+@_solved()
 def _first_model(body: RigidBody, samples: Samples, effects: Sequence[Effect],
                  train_mask: Mask | None, other: tuple[str, Samples] | None,
                  config: DiagnosisConfig, touched: Sequence[tuple[float, float]]) -> _Start:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import norm
 
-from semiparam_ros.bags.loading import LoadedBag, require_same_robot
+from semiparam_ros.bags.loading import LoadedBag, description_in, require_same_robot
 from semiparam_ros.core.estimator import Estimator, EstimatorState
 from semiparam_ros.core.hyperparameters.estimation import Hyperparameters
 from semiparam_ros.core.initial_window import gathered_from
@@ -46,6 +46,7 @@ NAMES = {'eps_force': 'force', 'eps_torque': 'torque', 'eps_effort': 'effort'}
 class ComparisonScenario:
     """One comparison.
 
+    :param settings: with the joints by name.
     :param train: the initial window, then what is learnt online. :param test: what is predicted, in ``subsets``.
     :param subsets: (first, last + 1) rows of ``test``; each starts from the model that ``train`` left.
     """
@@ -81,7 +82,7 @@ def scenario_from(settings: Settings, train: LoadedBag, test: LoadedBag, *, subs
     require_same_robot(settings, [train, test])
     settings = replace(settings, forgetting=1.0) if settings.forgetting == AUTO else settings
     settings = replace(settings, features_count=model_options(settings).most_features, priors='paper',
-                       joint_friction=False, features_frequencies='independent')
+                       joint_friction=False, features_frequencies='independent', joints=train.joints)
     if train_samples is not None and train_samples < 1:
         raise SemiparamError(f'{train_samples} samples of the first recording were asked for; expected at least 1.')
     learnt = train.samples[:train_samples]
@@ -92,11 +93,11 @@ def scenario_from(settings: Settings, train: LoadedBag, test: LoadedBag, *, subs
     if not seeds:
         raise SemiparamError('the comparison has no feature seed; expected at least one.')
     split = _split(len(test.samples), test_from, subsets, subset_samples, settings.horizon_length)
-    if not np.ptp(test.samples.outputs[test_from:split[-1][1]], axis=0).any():
+    if not variance(test.samples.outputs[test_from:split[-1][1]]).any():
         raise SemiparamError('every output of the second recording is constant; expected outputs that vary, for errors '
                              'are measured against their variance.')
     return ComparisonScenario(settings, learnt, test.samples,
-                              train.robot_description or test.robot_description, split,
+                              description_in([train, test]), split,
                               tuple(variants), tuple(seeds), estimation or Estimation())
 
 

@@ -9,7 +9,7 @@ from functools import partial
 
 import numpy as np
 
-from semiparam_ros.bags.loading import LoadedBag
+from semiparam_ros.bags.loading import LoadedBag, description_in
 from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.horizon_error import HorizonErrors, force_and_torque
 from semiparam_ros.core.prediction import Prediction
@@ -204,14 +204,13 @@ class OfflineLearner(LearnerListener):
 
     def __init__(self, settings: Settings, bags: Sequence[LoadedBag], tick: Callable[[], None],
                  takeovers: Sequence[int] = (0,)) -> None:
-        description = next((bag.robot_description for bag in bags if bag.robot_description), None)
         self._tick, self._takeovers = tick, tuple(takeovers)
         self.answer: Answer | None = None
         self.on_answer: Callable[[Answer, Array], None] = lambda answer, widening: None
         self.on_change: Callable[[ChangeRecord], None] = lambda record: None
         self._horizon: HorizonErrors | None = None
         self._background = TakeoverBackground()
-        body = build_rigid_body(settings, description)
+        body = build_rigid_body(settings, description_in(bags))
         self.learner = Learner(replace(settings, shadow_variants=()), body, self._background, self)
 
     @property

@@ -26,6 +26,7 @@ from semiparam_ros.core.signals.correlation import correlation_time
 from semiparam_ros.core.signals.smoothing import smoothed
 from semiparam_ros.core.types import Array, Indices, Mask
 from semiparam_ros.effects import Effect
+from semiparam_ros.effects.base import ALWAYS
 from semiparam_ros.errors import SemiparamError
 
 MOTIONS = {'smoothed': 2, 'smoothed from positions': 1, 'smoothed with accelerations': 3}
@@ -59,6 +60,7 @@ class Estimate(NamedTuple):
     :param how: what it is from, as a phrase. :param top_speed: (n_joints,) largest velocities seen
         [rad/s, m/s]. :param table: samples that judge it.
     :param held_out: whether it can be fitted anew without the samples that judge.
+    :param origin: stamp [ns] from which its time counts.
     """
 
     columns: CoupledColumns
@@ -68,6 +70,16 @@ class Estimate(NamedTuple):
     top_speed: Array
     table: SampleTable | None = None
     held_out: bool = False
+    origin: int = 0
+
+    @property
+    def starts(self) -> dict[int, float]:
+        """Times [s] when effects begin that were not there from the beginning, by their first columns."""
+        spans = [effect.span.in_recording(self.origin) if isinstance(effect, Effect) else ALWAYS
+                 for effect in self.columns.effects]
+        declared = {self.columns.blocks[str(index)].start: span.start_s
+                    for index, span in enumerate(spans) if span.start_s is not None}
+        return declared if self.table is None else declared | dict(self.table.starts)
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +99,7 @@ class SampleTable:
     deviation: Array
     weight: Array
     starts: Mapping[int, float] = field(default_factory=dict)
-    """Times [s] when loads appear that were not there from the beginning, by their first columns."""
+    """Times [s] when the samples show that loads appear, by their first columns."""
     keep_inertias: bool = False
     """Mark of a rigid body that is known to be as described."""
 
@@ -208,7 +220,8 @@ def from_estimator(estimator: Estimator, samples: Samples | None, name: str) -> 
         table = _table(columns, samples, moving(samples))
     n = estimator.body.n_joints
     top_speed = np.abs(estimator.inputs_learnt[:, n:2 * n]).max(axis=0)
-    return Estimate(columns, model.theta, root.T @ root, f'the model of {name}', top_speed, table)
+    return Estimate(columns, model.theta, root.T @ root, f'the model of {name}', top_speed, table,
+                    origin=estimator.origin or 0)
 
 
 def with_known(estimate: Estimate, known: Sequence[KnownEffect]) -> Estimate:
@@ -244,17 +257,13 @@ def _table(model: CoupledColumns, samples: Samples, used: Mask,
 
 
 def _with_starts(table: SampleTable, time: Array) -> SampleTable:
-    """Note when loads start; set the columns of those that do not say to zero before the samples
-    show them."""
+    """Of loads that do not say when they start, note what the samples show, and set the columns to
+    zero before."""
     block: Indices = np.arange(len(time)) * BLOCKS // len(time)
     for index, effect in enumerate(table.model.effects):
-        if not (effect.is_load and isinstance(effect, Effect)):
+        if not (effect.is_load and isinstance(effect, Effect)) or effect.span.values:
             continue
         part = table.model.blocks[str(index)]
-        if effect.start_s is not None:
-            table = replace(table, starts={**table.starts, part.start: effect.start_s})
-        if effect.span.values:
-            continue
         best = _best_start(table, part, block)
         if best == 0:
             continue

@@ -141,12 +141,11 @@ def identify(estimate: Estimate, described: Mapping[str, Array],
     solution.hold(estimate, everything=keep_inertias)
     links, loads, theta = solution.found(estimate.mean, estimate.information)
     price = None if estimate.table is None else _price(estimate, solution, theta)
-    starts = {} if estimate.table is None else estimate.table.starts
     joints = [JointDynamics(joint, name, max(float(weights @ theta), 0.0),
                             float(np.sqrt(max(float(weights @ covariance @ weights), 0.0))),
                             columns.body.joint_unit(joint, UNITS[name]))
               for joint, name, weights in solution.dynamics]
-    found = [CarriedBody(link, parameters, _std(covariance, block.start), starts.get(block.start))
+    found = [CarriedBody(link, parameters, _std(covariance, block.start), estimate.starts.get(block.start))
              for (link, block), parameters in zip(solution.loads, loads, strict=True)]
     offsets = dict(zip(columns.body.output_names, theta[columns.blocks['offset']].tolist(),
                        strict=False))  # none without joint friction

@@ -7,6 +7,7 @@ are those of an estimator that did everything at once.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
@@ -42,6 +43,8 @@ from semiparam_ros.online.tare import Tare
 from semiparam_ros.online.worker import Background
 from semiparam_ros.settings.snapshot import Settings
 
+MOST_WINDOWS = 1000
+"""So many windows are accounted for one by one; of a robot whose outputs are constant there is one after another."""
 FAILURES_AT_MOST = 3
 """So many samples in a row that the active model cannot answer, and it counts as broken."""
 
@@ -111,8 +114,8 @@ class Learner:
         """Of the samples answered, by the model then in force (``learn.every``, ``learn.least_gain``)."""
         self.renewals = 0
         """How often the model of a whole later window took over."""
-        self.failed_windows: list[str] = []
-        """Of each initial window that gave no hyperparameters the reason."""
+        self.failed_windows: deque[str] = deque(maxlen=MOST_WINDOWS)
+        """Of the last initial windows that gave no hyperparameters the reason."""
         self._listener, self._checkpoint = listener, checkpoint
         self.switcher = ModelSwitcher(body, background, self, listener.shadow_horizon_completed,
                                       listener.failed)
@@ -142,6 +145,7 @@ class Learner:
         """That hyperparameters are estimated from; None: the initial window."""
         self._awaits_draft = False
         self.takeovers: list[int] = []
+        """Samples from the end of each of the first windows until the model of it answered."""
         if not self._renewal.refines:  # a draft's hyperparameters are not those that follow it
             self.switcher.remember(settings, estimator)
         self._follow_settings(retry=True)
@@ -291,7 +295,7 @@ class Learner:
     def draft_live(self, estimator: Estimator | None) -> None:
         """It takes over from the provisional model, between two samples; the hyperparameters are estimated yet."""
         waited, self._awaits_draft = self.waited, False
-        self.takeovers.append(waited)
+        self._note_takeovers(1, waited)
         if estimator is not None:
             self.estimator = estimator
             self._renewal.go_on_with_draft()
@@ -309,9 +313,12 @@ class Learner:
         """End the wait for what was asked of a window, which is there or cannot be; samples
         answered since."""
         waited, self._asked = self.waited, None
-        self.takeovers.extend([waited] * (1 + self._awaits_draft))  # it was built without
+        self._note_takeovers(1 + self._awaits_draft, waited)  # it was built without
         self._awaits_draft = False
         return waited
+
+    def _note_takeovers(self, number: int, waited: int) -> None:
+        self.takeovers = [*self.takeovers, *[waited] * number][:MOST_WINDOWS]
 
     @property
     def waited(self) -> int:
@@ -429,7 +436,7 @@ class Learner:
     def state(self) -> SavedState:
         """State that :meth:`restore` takes back."""
         return SavedState(self.built, self.estimator, self.history.batch(), self.tare.bias, self.gate.state(),
-                          self._renewal.state(), self.changes.applied.state())
+                          self._renewal.state(), self.changes.applied.state(), self.tools.texts)
 
     def _fall_back(self, error: Exception) -> None:
         """The active model is broken: go on with the last checkpoint, else with P and no effects."""

@@ -37,7 +37,7 @@ from semiparam_ros.online.renewal import Renewal
 from semiparam_ros.settings.parameter_table import shown
 from semiparam_ros.settings.snapshot import Settings
 
-FORMAT, VERSION = 'semiparam_ros state', 26
+FORMAT, VERSION = 'semiparam_ros state', 27
 """The version changes with every change of what the arrays are or mean; test_state_file.py knows the layout of each."""
 
 ADOPTED = ('variant', 'effects', 'effects_reference', 'joint_friction', 'priors', 'noise', 'forgetting',
@@ -87,6 +87,8 @@ class SavedState(NamedTuple):
     gate: Memory
     renewal: Memory
     applied: Memory
+    tools: tuple[str, ...] = ()
+    """Those that the arm carried then; what it carries now the parameter says."""
 
     @property
     def sentence(self) -> str:
@@ -95,7 +97,10 @@ class SavedState(NamedTuple):
         there = [effect_from_text(text) for text, on in zip(state['effects'], state['applied'], strict=True) if on]
         places = ', '.join(place(effect.kind, effect.where) for effect in there)
         expected = f', and expects {places}' if there else ''
-        return f'{self.settings.variant} with {len(self.batch)} samples{expected}'
+        now = listed(self.settings.tools, 3)
+        tools = '' if self.tools == self.settings.tools else (
+            f'. It was saved with the tools {listed(self.tools, 3)}; the parameter tools says {now}, which holds')
+        return f'{self.settings.variant} with {len(self.batch)} samples{expected}{tools}'
 
 
 class Snapshot(NamedTuple):
@@ -182,7 +187,7 @@ def snapshot(state: SavedState) -> Snapshot:
     first, *others = learnt.models
     known = known_of(state.estimator)
     meta = {'format': FORMAT, 'version': VERSION, 'joints': list(state.estimator.body.joints),
-            'settings': _as_saved(state.settings),
+            'settings': _as_saved(state.settings), 'tools': list(state.tools),
             'known': None if known is None else [asdict(known.hyperparameters), *known[1:4]],
             'origin': learnt.origin, 'newest': learnt.newest, 'window_left': first.window_left,
             'passed_over': first.passed_over,
@@ -293,7 +298,7 @@ def load(path: Path, settings: Settings, body: RigidBody) -> SavedState:
         applied = AppliedEffects(body)
         applied.restore(_from_json(meta['applied'], _group(arrays, 'applied')))
         saved = SavedState(settings, _estimator(settings, body, arrays, meta), batch, bias, gate.state(),
-                           renewal.state(), applied.state())
+                           renewal.state(), applied.state(), tuple(map(str, meta['tools'])))
         _check_nothing_else(arrays, meta, saved)
         _try(saved, gate)
         return saved
@@ -565,6 +570,10 @@ def _check_kinds(where: str, given: Memory, own: Memory, rows_of: int = 2) -> No
     elif isinstance(own, tuple | list) and isinstance(given, tuple | list) and len(given) == len(own):
         for index, part in enumerate(own):
             _check_kinds(f'{where}.{index}', given[index], part, rows_of)
+    elif isinstance(own, bool | int | float):
+        same = isinstance(given, bool) if isinstance(own, bool) else isinstance(given, int | float)
+        if not same:
+            raise ValueError(f"'{where}' is {shown(given)}; expected one like {shown(own)}")
 
 
 def _check_nothing_else(arrays: Mapping[str, Array], meta: Mapping[str, Any], saved: SavedState) -> None:

@@ -33,8 +33,8 @@ class FlowControl:
 
     :param request_topic: the topic whose messages are answered, as the bag names it
     :param window: requests on the way at the same time, at most the follower's queue depth
-    :param timeout_s: silence after which the follower counts as gone [s]; it may rightly think for some seconds
-        when it estimates hyperparameters
+    :param timeout_s: silence after which the follower counts as gone [s], while something waits to be published; it
+        may rightly think for some seconds when it estimates hyperparameters
     :param stamp_of: header stamp [ns] of a serialised request
     :param is_gone: whether the follower has left
     """
@@ -50,7 +50,8 @@ class FlowControl:
         self._monotonic = monotonic
         self._lock = threading.Lock()
         self._waiting: OrderedDict[int, int] = OrderedDict()
-        self._last_sign = monotonic()
+        self._last_sign = self._asked = monotonic()
+        self._next: Item | None = None
         self.requests = self.answers = self.unexpected = 0
         self.unanswered_stamps: list[int] = []
 
@@ -72,6 +73,8 @@ class FlowControl:
     def patience(self, item: Item) -> float:
         """Seconds until ``item`` may be published, or 0; FollowerSilent after the timeout."""
         with self._lock:
+            if item != self._next:  # a pause of the bag, or of the player, is no silence of the follower
+                self._next, self._asked = item, self._monotonic()
             if item.topic != self.request_topic or len(self._waiting) < self.window:
                 return 0.0
             remaining, silent = self._remaining(), self._silent()
@@ -96,10 +99,11 @@ class FlowControl:
         if self._is_gone():
             raise FollowerSilent(f'the follower has left while {len(self._waiting)} messages on {self.request_topic} '
                                  f'wait for it; it answered {self.answers} of {self.requests}.')
-        if silent >= self.timeout_s:
+        waited = (self._monotonic() - max(self._last_sign, self._asked)) * 1e-9
+        if waited >= self.timeout_s:
             raise FollowerSilent(f'the follower has been silent for {silent:.1f} s while {len(self._waiting)} messages '
                                  f'on {self.request_topic} wait for it; it answered {self.answers} of {self.requests}.')
-        return min(self.timeout_s - silent, LOOK_S)
+        return min(self.timeout_s - waited, LOOK_S)
 
     def sent(self, item: Item) -> None:
         """Count a request that is about to be published."""

@@ -8,7 +8,7 @@ from collections.abc import Collection, Generator, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from operator import attrgetter
 
-from semiparam_ros.bags.base import BagReader, Message
+from semiparam_ros.bags.base import BagReader
 from semiparam_ros.bags.qos import Qos
 from semiparam_ros.core.stamps import NANOSECONDS
 from semiparam_ros.errors import SemiparamError
@@ -132,19 +132,20 @@ class BagTimeline:
 
     def _latched_before(self, from_ns: int) -> list[Item]:
         """Latched messages that a subscriber at ``from_ns`` would have received on connecting."""
-        last: dict[str, Item] = {}
-        if self._sorted is not None:
-            names = {self._names[topic] for topic in self._latched}
-            earlier = self._sorted[:bisect_left(self._sorted, from_ns, key=_TIME)]
-            last = {item.topic: item for item in earlier if item.topic in names}
-        elif self._latched:
-            last = {item.topic: item for item in self._stream(self._latched, end_ns=from_ns)}
+        last = {item.topic: item for item in self._latched_items(end_ns=from_ns) if item.time < from_ns}
         return [item._replace(time=from_ns) for item in last.values()]
+
+    def _latched_items(self, end_ns: int | None = None) -> Iterator[Item]:
+        """All messages on latched topics; of log times, only those before ``end_ns``."""
+        if self._sorted is None:
+            return self._stream(self._latched, end_ns=end_ns)
+        names = {self._names[topic] for topic in self._latched}
+        return (item for item in self._sorted if item.topic in names)
 
     def announcements(self) -> list[Item]:
         """The first message on each latched topic, which a node may need before it can do anything."""
         first = {item.topic: item for item in self._latched_before(self.start_ns)}
-        for item in self._stream(self._latched):
+        for item in self._latched_items():
             if item.time >= self.start_ns:
                 first.setdefault(item.topic, item)
             if len(first) == len(self._latched):
@@ -153,13 +154,9 @@ class BagTimeline:
 
     def _stream(self, topics: Collection[str], start_ns: int | None = None, end_ns: int | None = None
                 ) -> Iterator[Item]:
-        for message in self.bag.messages(topics, self.order, start_ns, end_ns, decode=False):
-            yield Item(self._time(message), self._names[message.topic], message.raw)
-
-    def _time(self, message: Message) -> int:
-        if self.order == 'log':
-            return message.log_time
-        return message.publish_time if self.order == 'publish' else self.bag.header_time(message)
+        messages = self.bag.messages(topics, 'log', start_ns, end_ns, decode=False)
+        for time, message in self.bag.timed(messages, self.order):
+            yield Item(time, self._names[message.topic], message.raw)
 
 
 def _nanoseconds(seconds: float) -> int:

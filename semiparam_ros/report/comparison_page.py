@@ -157,9 +157,8 @@ def page(comparison: Comparison, train: str, test: str, command: str) -> str:
 def pictures(comparison: Comparison) -> list[Picture]:
     """Pictures of the comparison, with their captions."""
     figures, scenario = comparison.figures, comparison.scenario
-    names = WRENCH_CHANNELS if scenario.settings.outputs == 'wrench' else (
-        scenario.settings.joints and output_joints(scenario.settings, scenario.settings.joints)) or tuple(
-        f'joint {index + 1}' for index in range(scenario.test.outputs.shape[1]))
+    names = WRENCH_CHANNELS if scenario.settings.outputs == 'wrench' else output_joints(
+        scenario.settings, scenario.settings.joints)
     several = f"{_count(len(scenario.subsets), 'subset')} and {_count(len(scenario.seeds), 'feature draw')}"
     steady = all(index.steady_state for one in figures.values() for index in one.indices.values())
     return [

@@ -23,6 +23,10 @@ def parse(urdf: str) -> Element:
         raise SemiparamError(f'the robot description is not XML: {error}.') from error
     if robot.tag != 'robot':
         raise SemiparamError(f"the robot description begins with <{robot.tag}>; expected a URDF's <robot>.")
+    children = [child.get('link') for child in robot.findall('joint/child')]
+    for name in children:
+        if children.count(name) > 1:  # pinocchio follows the loop until the process dies
+            raise SemiparamError(f"link '{name}' of the robot description is the child of two joints; expected a tree.")
     return robot
 
 

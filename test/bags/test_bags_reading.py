@@ -99,7 +99,7 @@ def test_order_by_publish_or_header_time(tmp_path):
     path = tmp_path / 'bag.mcap'
     with BagWriter(path) as bag:
         bag.write('/a', STATE, {'header': header(30)}, 1, publish_ns=20)
-        bag.write('/b', STRING, {'data': 'no header'}, 25, publish_ns=25)
+        bag.write('/b', STRING, {'data': 'no header'}, 10, publish_ns=25)
         bag.write('/c', WRENCH, {'header': header(10)}, 3, publish_ns=21)
     with open_bag(path) as bag:
         assert [m.topic for m in bag.messages()] == ['/a', '/c', '/b']
@@ -230,7 +230,7 @@ def test_rosbag2_directories_are_read(plugin, mode, tmp_path):
         assert bag.topics['/chatter'].qos == LATCHED and bag.topics['/state'].count == 20
         assert (bag.start_ns, bag.end_ns) == (0, 19)
         last = next(iter(bag.messages(['/state'], start_ns=19)))
-        assert last.data.position == [9.5] and bag.header_time(last) == 19 * SECOND + 1
+        assert last.data.position == [9.5] and next(bag.timed([last], 'header'))[0] == 19 * SECOND + 1
         assert not bag.losses and bag.losses.saved == 40
 
 
@@ -261,7 +261,7 @@ def test_types_of_ros1_become_those_of_ros2(tmp_path):
         info, time, state = bag.messages()
         assert info.data.k == matrix.tolist() and info.data.header.frame_id == 'cam'
         assert (time.data.data.sec, time.data.data.nanosec) == (5, 6)
-        assert state.data.position == [1.0] and bag.header_time(state) == 3 * SECOND + 4
+        assert state.data.position == [1.0] and next(bag.timed([state], 'header'))[0] == 3 * SECOND + 4
         assert all(topic.qos.latched for topic in bag.topics.values())
 
 

@@ -78,6 +78,15 @@ def test_a_lone_name_gets_the_overview(capsys):
     ('diagnose a.mcap --jobs 0', '--jobs is 0; expected at least 1'),
     ('diagnose --benchmark --seeds 0', '--seeds is 0; expected at least 1'),
     ('diagnose --benchmark --kinds payload+payloda', "no effect 'payloda' to simulate"),
+    *[(f'diagnose --benchmark {words}', f'simulates; expected no {words.split()[0]} beside it')
+      for words in ('--params arm.yaml', '--output found.yaml', '--html page.html', '--judge a.mcap', '--split 0.0',
+                    '--in a.mcap payload@hand', '--variants P')],
+    ('diagnose --benchmark a.mcap', 'simulates; expected no BAG beside it'),
+    ('diagnose a.mcap -o b.txt --html ./b.txt', 'b.txt is named for two results'),
+    ('diagnose a.mcap --params arm.yaml --json arm.yaml', 'arm.yaml is read, too; expected another name'),
+    ('export a.mcap --urdf b.xml --mjcf b.xml', 'b.xml is named for two results; expected another name for each'),
+    ('export a.mcap --params arm.yaml --urdf a.mcap', 'a.mcap is read, too; expected another name for the output'),
+    ('evaluate a.mcap --json ../x/../x/a.mcap', 'cannot write'),
     ('simulate b.txt', "'b.txt' is no name for an MCAP bag"),
     ('simulate b.mcap --truth nowhere/b.json', 'cannot write nowhere/b.json'),
     ('convert a.mcap b.mcap --joint elbow=b', "no joint 'elbow' to rename; it has r_elbow"),
@@ -120,6 +129,14 @@ def test_a_mistake_of_the_user_is_one_sentence(command, capsys):
     command(raising(SemiparamError('the bag has no topic /wrench.')))
     assert cli.main(['bench']) == 2
     assert capsys.readouterr().err == 'semiparam: the bag has no topic /wrench.\n'
+
+
+def test_an_interrupt_within_an_import_is_no_internal_error(command, capsys):
+    """As RuntimeError: Error calling __set_name__ on 'Field' instance."""
+    error = RuntimeError('Error calling __set_name__')
+    error.__cause__ = KeyboardInterrupt()
+    command(raising(error))
+    assert cli.main(['bench']) == 130 and not capsys.readouterr().err
 
 
 def test_a_missing_file_is_one_sentence(command, capsys):

@@ -120,6 +120,13 @@ def test_the_time_of_an_effect_counts_from_the_recordings_start_in_every_part(fo
         assert np.array_equal(late, follow(scenarios[0.0], always, subset).frozen.errors) == same
 
 
+def test_joints_that_only_the_description_names_are_told_by_name(folder):
+    """A page of efforts called them joint 1, joint 2 ..."""
+    settings = Settings.from_mapping(PARAMETERS)
+    train, test = load_bags([folder / 'train.mcap', folder / 'test.mcap'], settings)
+    assert scenario_from(replace(settings, joints=()), train, test).settings.joints == JOINTS
+
+
 def test_several_processes_change_nothing(quick, compare):
     assert without_times(compare(*QUICK, jobs=2)[0]) == without_times(quick[0])
 

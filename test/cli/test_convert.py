@@ -268,14 +268,14 @@ def test_wrong_files_end_in_one_sentence(tmp_path, capsys):
     for arguments, sentence in {
             (tmp_path / 'no.txt', tmp_path / 'o.mcap', *TWO_JOINTS): 'No such file or directory',
             (path, tmp_path / 'o.bag', *TWO_JOINTS): 'expected one that ends in .mcap',
-            (path, tmp_path / 'no' / 'o.mcap', *TWO_JOINTS): 'no bag can be written to',
+            (path, tmp_path / 'no' / 'o.mcap', *TWO_JOINTS): 'there is no folder',
             (path, tmp_path / 'o.mcap', *TWO_JOINTS, '--robot-description', tmp_path / 'no.urdf'): 'no.urdf'}.items():
         assert sentence in refusal(capsys, 'convert', *arguments)
     bag = tmp_path / 'good.mcap'
     assert convert(path, bag, *TWO_JOINTS) == 0
     before = bag.read_bytes()
     for arguments, sentence in {
-            (bag, bag): 'is the input itself',
+            (bag, bag): 'is read, too; expected another name for the output',
             (bag, tmp_path / 'o.mcap', '--topic', '/no'): 'has no topic /no; it has /joint_states',
             (bag, tmp_path / 'o.mcap', '--joint', 'a='): "'a=' is no renaming; expected OLD=NEW",
             (bag, tmp_path / 'o.mcap', '--rate', '5'): '--rate is for text tables'}.items():

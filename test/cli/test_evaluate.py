@@ -167,6 +167,14 @@ def test_mistakes_are_one_sentence(arguments, sentence, recording, params, tmp_p
     assert sentence in refusal(capsys, 'evaluate', *words, *given)
 
 
+def test_the_description_is_in_one_of_several_recordings(params, recording, tmp_path, capsys):
+    """All was evaluated and shown, and then the first recording refused for having none."""
+    bare = tmp_path / 'bare.mcap'
+    assert semiparam('convert', recording, bare, '--topic', '/joint_states', '--topic', '/wrench') == 0
+    found = document_of(params, tmp_path / 'result.json', bare, recording, '--variant', 'P')
+    assert found['variants']['P']['samples'] == 800 - INITIAL
+
+
 def test_too_short_a_recording_is_refused(params, tmp_path, capsys):
     bag = write_arm(tmp_path / 'short.mcap', 60)
     assert 'the robot moves in 60 of 60 samples, which are too few: the initial window' in refusal(

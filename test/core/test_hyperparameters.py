@@ -18,7 +18,7 @@ from semiparam_ros.core.hyperparameters.maximisation import (
     maximise_from,
 )
 from semiparam_ros.core.hyperparameters.validation import Grid, select_by_validation
-from semiparam_ros.core.hyperparameters.window import input_groups
+from semiparam_ros.core.hyperparameters.window import check_window, input_groups
 from semiparam_ros.core.variants import VARIANTS
 from semiparam_ros.errors import SemiparamError
 
@@ -263,3 +263,11 @@ def test_ends_on_one_flat_top_are_polished_once():
                          for place, value in ((0.0, 99.9), (4.0, 99.8), (9.0, 97.0)))
     assert _distinct([best, flat]) == [best]
     assert _distinct([best, flat, other]) == [best, other]
+
+
+def test_outputs_whose_squares_are_nothing_are_constant():
+    """The estimate went on with a variance of 0, and ended with deviations of 0."""
+    outputs = np.random.default_rng(0).standard_normal((200, 2))
+    check_window(outputs, outputs, outputs)
+    with pytest.raises(SemiparamError, match=r'output 0, 1 \(counted from 0\) is constant'):
+        check_window(1e-300 * outputs, outputs, outputs)

@@ -17,6 +17,7 @@ from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.diagnosis.config import DEFAULTS
+from semiparam_ros.diagnosis.data.outliers import working_factor
 from semiparam_ros.diagnosis.data.splits import correlation_times, interleaved_split, leading_split, ranges
 from semiparam_ros.diagnosis.diagnose import VERDICTS, diagnose
 from semiparam_ros.diagnosis.evaluation import evaluate_here, evaluate_there
@@ -483,6 +484,16 @@ RECORDED = replace(MOTION, outputs=BODY.regressors(MOTION) @ BODY.base_parameter
 def test_too_short_a_recording_is_refused():
     with pytest.raises(SemiparamError, match='holds 150 complete samples; a diagnosis needs at least 200'):
         diagnose(BODY, RECORDED[:150])
+
+
+def test_one_sample_and_motion_in_other_units_end_in_a_sentence():
+    """As internal errors: NaN that is no integer, a matrix that is not positive definite."""
+    assert working_factor(RECORDED[:1]) == 1
+    for scale in (1e6, 1e8):
+        quick = replace(RECORDED, **{name: scale * getattr(RECORDED, name)
+                                     for name in ('position', 'velocity', 'acceleration')})
+        with pytest.raises(SemiparamError, match=r'nothing can be fitted to the samples .* may be in other units'):
+            diagnose(BODY, quick)
 
 
 @pytest.mark.parametrize(('count', 'period_ns', 'every'), [(400, 20_000_000, 10), (250, 1_000_000, 1000)],

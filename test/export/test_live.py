@@ -115,5 +115,6 @@ def test_a_load_far_from_its_link_is_exported_where_it_is():
         estimator.step(sample._replace(outputs=rigid + own + 0.01 * rng.standard_normal(6)))
     found = consistent_parameters(URDF, from_estimator(estimator, None, 'a node'), None)
     told, = json.loads(found.document)['loads']
+    assert told['start_s'] == 6.0
     np.testing.assert_allclose(told['mass'], 0.5, rtol=0.05)
     np.testing.assert_allclose(told['centre'], [0.1, 0.0, 0.2], atol=0.02)

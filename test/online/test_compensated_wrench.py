@@ -9,6 +9,7 @@ import pytest
 from semiparam_ros.core.robot.tools import Tools
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.experiments.evaluation import OfflineLearner
+from semiparam_ros.online import state_file
 from semiparam_ros.online.compensation import Compensation
 from semiparam_ros.online.tare import Tare
 from support.learner_stage import Stage
@@ -95,6 +96,17 @@ def test_a_tare_after_a_tool_was_declared_takes_none_of_its_weight_for_a_bias():
     stage.offer(carried[100:110])
     assert stage.learner.tare.take() == 10
     assert np.abs(stage.learner.tare.bias).max() < 0.5, 'eight newtons are the tool'
+
+
+def test_a_state_tells_the_tools_that_were_there(tmp_path):
+    """Those of a live parameter were gone with the process, and no word said so."""
+    stage, _ = settled()
+    settings = stage.learner.settings
+    stage.learner.change(replace(settings, tools=(TOOL,)))
+    state_file.save(tmp_path / 'a.npz', stage.learner.state())
+    assert 'tools' not in state_file.load(tmp_path / 'a.npz', stage.learner.settings, BODY).sentence
+    told = state_file.load(tmp_path / 'a.npz', settings, BODY).sentence
+    assert f'saved with the tools {TOOL[:20]}' in told and told.endswith('; the parameter tools says none, which holds')
 
 
 def test_a_tool_that_is_declared_is_taken_off_without_learning_anew_and_without_a_jump():

@@ -21,7 +21,7 @@ from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.diagnosis.setup.identifiability import unidentifiable
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.experiments.evaluation import OfflineLearner
-from semiparam_ros.online import diagnosis_jobs, model_jobs, state_file, transport
+from semiparam_ros.online import diagnosis_jobs, learner, model_jobs, state_file, transport
 from semiparam_ros.online.history import History, batch_of
 from semiparam_ros.online.identified_parameters import Excitation, carried_load, conditioning, reported_load
 from semiparam_ros.online.learning import Learning
@@ -138,6 +138,15 @@ def test_a_robot_at_rest_is_answered_and_not_learnt():
                                        outputs=np.full(6, 50.0 + 0.1 * (index % 2))) for index in range(500)]
         stage.offer(stopped)
         assert [answer.learnt for answer in stage.answers[-500:]] == [True] * 4 + [False] * 496
+
+
+def test_windows_without_end_are_accounted_for_up_to_a_number(monkeypatch):
+    """A robot whose outputs are constant fills lists, and a status with them, for as long as it runs."""
+    monkeypatch.setattr(learner, 'MOST_WINDOWS', 3)
+    stage = Stage()
+    for _ in range(5):
+        stage.offer_and_build(still(90))
+    assert stage.learner.takeovers == [30, 30, 30] and len(stage.learner.failed_windows) == 3
 
 
 def test_a_window_without_variation_keeps_the_provisional_model_and_says_why():

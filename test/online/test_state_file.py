@@ -108,9 +108,9 @@ SCRATCH = {
 
 
 LAYOUT = {
-    26: {
-        'meta': 'applied format gate joints known memory newest origin others passed_over renewal settings version '
-                'window_left',
+    27: {
+        'meta': 'applied format gate joints known memory newest origin others passed_over renewal settings tools '
+                'version window_left',
         'gate': 'awake bands calm_since changed closed closed_at closed_ratio closed_since closures counts familiar '
                 'free level mean newest resting speed tails turns within',
         'known': 'gamma rho tau sigma output_scale pi drift_share drift_memory features autocorrelation_time',
@@ -482,6 +482,17 @@ def test_what_is_loaded_can_answer_and_learn(tmp_path, settings, long):
         accepted.append(what)
     wrong_kinds = {'float32', 'float64', 'int32', 'bool', 'text', 'flat', 'added', 'missing'}
     assert not [what for what in accepted if what.split(': ')[-1] in wrong_kinds]
+
+
+@pytest.mark.parametrize(('name', 'wrong'), [('changed', None), ('changed', 2.5), ('closed_since', 'x'), ('speed', [])])
+def test_a_word_of_the_gate_that_is_of_another_kind_is_refused(tmp_path, name, wrong):
+    """It was loaded, and every sample from then on was an internal error."""
+    arrays, path = state_file.snapshot(stage_of(SETTINGS, motion(70)).learner.state()).arrays(), tmp_path / 's.npz'
+    meta = json.loads(str(arrays['meta']))
+    meta['gate']['dict'][name] = wrong
+    np.savez(path, **arrays | {'meta': np.array(json.dumps(meta))})
+    with pytest.raises(SemiparamError, match=f'gate.{name}'):
+        state_file.load(path, SETTINGS, BODY)
 
 
 def misquoted(value, where=''):

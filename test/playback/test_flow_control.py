@@ -53,6 +53,7 @@ def test_silence_ends_the_playback_with_a_sentence_that_counts():
     for stamp in (1, 2, 3, 4):
         flow.sent(request(stamp))
     flow.answered(1)
+    assert flow.patience(request(5)) == 1.0
     hands.ns = int(4.5 * 10**9)
     assert flow.patience(request(5)) == pytest.approx(0.5)
     hands.ns = 5 * 10**9
@@ -72,6 +73,21 @@ def test_a_pause_before_a_request_is_no_silence():
     hands.ns = 100 * 10**9
     flow.sent(request(1))
     assert flow.patience(request(2)) == 1.0
+
+
+def test_a_pause_of_the_bag_is_no_silence_of_the_follower():
+    """The last request before a pause is answered after it, by the joint state that completes it."""
+    flow, hands = flow_control(window=1)
+    flow.sent(request(1))
+    hands.ns = 100 * 10**9
+    for item in (request(2, '/joint_states'), request(2)):
+        assert flow.patience(item) == (item.topic == '/wrench')
+        flow.sent(item)
+    hands.ns = 104 * 10**9
+    assert flow.patience(request(3)) == 1.0
+    hands.ns = 109 * 10**9
+    with pytest.raises(FollowerSilent, match=r'silent for 109\.0 s'):
+        flow.patience(request(3))
 
 
 def test_a_refused_request_is_settled_by_the_next_answer_and_told():

@@ -87,6 +87,24 @@ def test_order_by_publish_time(bag):
     assert played(timeline(bag, '/wrench', order='publish')) == [('/wrench', float(-k)) for k in range(9, -1, -1)]
 
 
+@pytest.mark.parametrize('unset', [None, 0])
+def test_what_has_no_stamp_stays_where_it_was_among_stamps_of_a_simulation(unset, tmp_path):
+    """A text, or a header whose stamp is not set, was played decades after (before) the rest."""
+    with BagWriter(tmp_path / 'a.mcap') as writer:
+        writer.write('/robot_description', TEXT, {'data': '<robot/>'}, START)
+        for k in range(1, 5):
+            now = START + k * SECOND
+            writer.write('/wrench', WRENCH, {'header': header(k * SECOND)}, now)
+            other = (TEXT, {'data': '.'}) if unset is None else (STATES, {'header': header(unset)})
+            writer.write('/other', *other, now + SECOND // 2)
+    with open_bag(tmp_path / 'a.mcap') as bag:
+        line = timeline(bag, order='header')
+        assert [item.time / SECOND for item in line.announcements()] in ([], [0.0])
+        assert [(item.topic, item.time / SECOND) for item in line.play(line.start_ns)] == [
+            ('/robot_description', 0.0),
+            *[each for k in range(1, 5) for each in (('/wrench', float(k)), ('/other', k + 0.5))]]
+
+
 def test_order_by_header_time(bag):
     line = timeline(bag, '/wrench', order='header')
     assert [read_stamp(item.raw) for item in line.play(line.start_ns)] == [START + k * SECOND for k in range(1, 11)]
@@ -94,8 +112,8 @@ def test_order_by_header_time(bag):
 
 
 def test_latched_messages_come_first_in_every_order(bag):
-    line = timeline(bag, order='header', cut=Cut(start_offset_s=4.0))
-    assert played(line)[0] == ('/robot_description', 4.0)
+    line = timeline(bag, '/robot_description', '/joint_states', order='header', cut=Cut(start_offset_s=4.0))
+    assert played(line)[0] == ('/robot_description', 3.5)  # by the stamps, which are half a second earlier
 
 
 @pytest.mark.parametrize(('selection', 'expected'), [

@@ -234,6 +234,7 @@ def rclpy_sensor_data():
     (['--topics', '/a-b'], "'/a-b' is no name of a topic"),
     (['--all', '--count', '/a/=3'], "'/a/' is no name of a topic"),
     (['--all', '--duration', 0.3], 'nothing was recorded'),
+    (['--all', '--duration', 0.31], 'there is no topic to record yet; each is recorded from when it appears'),
 ])
 def test_mistakes_are_one_sentence_and_leave_no_file(tmp_path, arguments, sentence):
     out = tmp_path / 'out' / 'out.mcap'

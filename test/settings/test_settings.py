@@ -77,6 +77,8 @@ def test_unknown_name_is_answered_with_the_nearest_and_the_file(tmp_path):
     ('estimator: {ros__parameters: [1, 2]}', "holds no 'ros__parameters:'"),
     ('other: {ros__parameters: {variant: P}}', 'ROS gives no section to the node estimator \\(found: other\\)'),
     ('estimator: [', 'not valid YAML in line 1'),
+    ('a: &a {x: *a}', 'not valid YAML in line 1: found unconstructable recursive node'),  # a RecursionError
+    ('[' * 5000, 'is nested too deep'),
     ('', 'holds no parameters'),
 ])
 def test_bad_files_get_one_sentence(tmp_path, text, sentence):

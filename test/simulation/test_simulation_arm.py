@@ -144,6 +144,9 @@ def test_the_tip_follows_a_path_within_the_limits(wrench_arm):
     ({'convention': 'up'}, "wrench_convention 'up' is unknown"),
     ({'urdf': '<robot'}, 'is not XML'),
     ({'urdf': '<sdf/>'}, "expected a URDF's <robot>"),
+    ({'urdf': bundled_urdf().read_text().replace('</robot>', '''
+        <joint name="back" type="fixed"><parent link="r_hand"/><child link="r_upper_arm"/></joint></robot>''')},
+     "link 'r_upper_arm' of the robot description is the child of two joints"),  # the process died: segmentation fault
 ])
 def test_refusals(urdf, change, words):
     arguments = {'urdf': urdf, 'joints': ICUB_JOINTS, 'outputs': 'wrench', 'sensor_frame': ICUB_SENSOR, **change}

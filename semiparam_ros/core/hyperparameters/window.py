@@ -7,6 +7,7 @@ from typing import Literal
 import numpy as np
 
 from semiparam_ros.core.random_features import KINDS
+from semiparam_ros.core.samples import variance
 from semiparam_ros.core.types import Array, Stamps
 from semiparam_ros.errors import SemiparamError
 
@@ -40,7 +41,8 @@ def check_window(outputs: Array, coupled: Array, inputs: Array) -> None:
     for name, values in (('outputs', outputs), ('coupled columns', coupled), ('inputs', inputs)):
         if not np.isfinite(values).all():
             raise SemiparamError(f'the {name} of the initial window hold values that are not finite.')
-    constant = np.flatnonzero(np.ptp(outputs, axis=0) <= 1e-12 * np.abs(outputs).max(axis=0))
+    same = np.ptp(outputs, axis=0) <= 1e-12 * np.abs(outputs).max(axis=0)
+    constant = np.flatnonzero(same | (variance(outputs) == 0.0))  # squares of 1e-300 are none
     if len(constant):
         channels = ', '.join(str(channel) for channel in constant)
         raise SemiparamError(f'output {channels} (counted from 0) is constant over the initial window; '

@@ -98,7 +98,11 @@ class ExternalWrench:
             return External(-self._body.sign * residual, noise)
         maps = self.outputs_of(prediction.sample.position)
         spread = maps * self._expected
-        gain = np.linalg.solve(spread @ maps.T + noise, spread).T
+        whole = spread @ maps.T + noise
+        try:
+            gain = np.linalg.solve(whole, spread).T
+        except np.linalg.LinAlgError:  # beside a glitch of 1e9 N doubles hold nothing else
+            gain = spread.T @ np.linalg.pinv(whole, hermitian=True)
         return External(gain @ residual, np.diag(self._expected) - gain @ spread)
 
     def unseen(self, external: External) -> str:

@@ -55,6 +55,8 @@ def typical_step(time: Array) -> float:
 
 def working_factor(samples: Samples, config: DiagnosisConfig = DEFAULTS) -> int:
     """How many samples one working sample averages."""
+    if len(samples) < 2:
+        return 1
     rate = 1e9 / float(np.median(np.diff(samples.stamps)))
     return max(int(rate / config.working_rate_hz), 1)
 

@@ -76,7 +76,7 @@ class MisfitEvidence(NamedTuple):
 
 
 def evidence(equal: Equations, outputs: Array, share: float = 1.0) -> MisfitEvidence:
-    """Of outputs (N, n) when ``share`` of the samples count."""
+    """Of outputs (N, n) when ``share`` of the samples count; -inf where no inertias can be estimated."""
     deviation, telling = channel_scale(outputs, not len(equal.power)), np.ptp(outputs, axis=0) > 0.0
     size, count = equal.size, len(outputs)
     precision = equal.precision + np.diag(_nuisance_precision(equal, size, deviation))
@@ -86,7 +86,10 @@ def evidence(equal: Equations, outputs: Array, share: float = 1.0) -> MisfitEvid
     noise = deviation[telling]
     for _ in range(equal.config.rounds):
         weight = share / noise**2
-        factor = cho_factor(np.tensordot(weight, grams, 1) + precision / np.outer(size, size))
+        try:
+            factor = cho_factor(np.tensordot(weight, grams, 1) + precision / np.outer(size, size))
+        except np.linalg.LinAlgError:  # the motion is so large that doubles do not hold what inertias change
+            return MisfitEvidence(-np.inf, np.zeros(len(size)))
         scaled = cho_solve(factor, weight @ moments)
         residual = squares - 2.0 * moments @ scaled + (grams @ scaled) @ scaled
         noise = np.sqrt(np.maximum(residual, 0.0) / count + equal.config.model_error * deviation[telling] ** 2)

@@ -144,7 +144,8 @@ class RecordSession:
                                  f'{self._options.wait_s:g} s.')
         for name in topics.sources(node, node.topics):
             handshake(node, name, self._stopping)
-        self._say(f'recording {len(node.topics)} topics: {", ".join(sorted(node.topics))}.')
+        self._say(f'recording {len(node.topics)} topics: {", ".join(sorted(node.topics))}.' if node.topics else
+                  'there is no topic to record yet; each is recorded from when it appears.')
         if node.counted not in (None, *node.topics):
             self._say(f'{node.counted}, of which messages are counted, is not among them yet.')
         self._began = time.monotonic()
