@@ -42,7 +42,8 @@ class DiagnosisConfig:
     # --- data: preparation ---
 
     working_rate_hz: float = 40.0
-    """Averages faster recordings down to about this rate [Hz]: arms move below a few hertz (chosen)."""
+    """Averages faster recordings down to about this rate [Hz], and less where the motion is too fast for it
+    (chosen)."""
     most_working_samples: int = 10_000
     """Reads longer recordings in stretches that hold so many working samples: four minutes at 40 Hz (chosen)."""
     smoothing_ends: int = 5

@@ -18,7 +18,15 @@ from semiparam_ros.diagnosis.data.recordings import alone, beside_breaks, own_of
 from semiparam_ros.diagnosis.data.splits import interleaved_split, ranges
 from semiparam_ros.diagnosis.evaluation import Evaluation, evaluate_here, evaluate_there
 from semiparam_ros.diagnosis.findings import Finding, declared_findings, findings, places_in
-from semiparam_ros.diagnosis.preparation import Inputs, bursts, late, prepared, require_enough, too_fast
+from semiparam_ros.diagnosis.preparation import (
+    Inputs,
+    bursts,
+    fast_enough,
+    late,
+    prepared,
+    require_enough,
+    too_fast,
+)
 from semiparam_ros.diagnosis.regression import Fit
 from semiparam_ros.diagnosis.residual.contacts import Contact, contacts
 from semiparam_ros.diagnosis.residual.noise import noise_floor, with_error_columns, without_error_columns
@@ -220,7 +228,6 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
     output never changes; where its clock is wrong, that may be why, and the error says so.
     """
     check(samples, body, config)
-    samples = whole_groups(samples, working_factor(samples, config))
     names = tuple(names) or tuple(str(number) for number in range(1, len(samples.recordings) + 1))
     effects = [effect.in_recording(samples.origin) for effect in effects] + own_offsets(body, samples)
     suspected = _suspected(body, samples, effects, config, touched)
@@ -229,6 +236,7 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
     except SemiparamError as error:
         clock = [problem.sentence for problem in suspected if problem.what == 'clock']  # leaves no time to look at
         raise SemiparamError(clock[0] if clock else str(error)) from error
+    samples, config = start.recorded.samples, start.first.config
     steps, setup, imitated = _searched(start, considered(body, only), suspected, progress, bool(only))
     *models, final = [start.first, *(step.after for step in steps)]
     judged = _decided(final, steps, start)
@@ -277,6 +285,7 @@ class _Start(NamedTuple):
 def _first_model(body: RigidBody, samples: Samples, effects: Sequence[Effect],
                  train_mask: Mask | None, other: tuple[str, Samples] | None,
                  config: DiagnosisConfig, touched: Sequence[tuple[float, float]]) -> _Start:
+    given, samples = samples, whole_groups(samples, working_factor(samples, config))
     require_enough(config, np.ones(len(samples) // working_factor(samples, config), dtype=bool))
     may_fit, count = train_mask, len(samples)
     if may_fit is None:
@@ -287,6 +296,9 @@ def _first_model(body: RigidBody, samples: Samples, effects: Sequence[Effect],
     require_enough(config, fitting, held_out if other is None else fitting)
     first = starting_fit(body, chosen, effects, fitting, config, counted)
     unvalued = [effect for effect in first.effects if effect.is_calibration and not effect.parameters]
+    faster = fast_enough(first, samples, inputs)
+    if faster != config:
+        return _first_model(body, given, effects, train_mask, other, faster, touched)
     recorded, elsewhere = Recorded(samples, clean & may_fit, samples, clean & ~may_fit), None
     if other is not None:
         recorded = Recorded(samples, clean & may_fit, other[1], ~excluded(other[1], config))

@@ -8,7 +8,7 @@ import pytest
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.signals.smoothing import acceleration_errors, smoothed
 from semiparam_ros.diagnosis.config import DEFAULTS
-from semiparam_ros.diagnosis.preparation import Inputs, measured_lags
+from semiparam_ros.diagnosis.preparation import Inputs, averaged, measured_lags
 from support.arms import smooth_motion
 from support.node_helpers import motion
 
@@ -38,6 +38,17 @@ def test_derivatives_of_slow_and_fast_motion_at_every_rate(rate, speed, motion):
     assert relative_error(found.position, true.position).max() < 1e-3
     assert relative_error(found.velocity, true.velocity).max() < 5e-3
     assert relative_error(found.acceleration, true.acceleration).max() < 0.05
+
+
+def test_a_working_sample_is_what_the_recording_says_of_its_middle():
+    truth = smooth_motion(3, 4000, rate=200.0, speed=2.0)
+    truth = replace(truth, outputs=np.sin(3.0 * truth.position) * truth.velocity)
+    coarse, middle, mean = averaged(truth, 5), truth.outputs[2::5], truth.outputs.reshape(-1, 5, 3).mean(axis=1)
+    errors = [relative_error(values[2:-2], middle[2:-2]) for values in (coarse.outputs, mean)]
+    assert (errors[0] < 0.15 * errors[1]).all()
+    apart = Samples.joined([truth[:2000], truth[1000:]])  # what comes after a break says nothing of what was before it
+    means = apart.outputs.reshape(-1, 5, 3).mean(axis=1)
+    np.testing.assert_allclose(averaged(apart, 5).outputs[398:402], means[398:402], rtol=1e-3)
 
 
 @pytest.mark.parametrize('rate', [20.0, 125.0])

@@ -80,6 +80,17 @@ def test_what_errors_of_fast_motion_leave_is_no_effect_and_the_remedy_is_said(ou
     assert not any('too fast' in note for note in slow.notes)
 
 
+@pytest.mark.parametrize(('rate', 'speed', 'most'), [(100.0, 5.0, 1), (500.0, 2.5, 11)])
+def test_means_of_fast_motion_are_no_gain(rate, speed, most):
+    """Over a working sample of 40 Hz the outputs of motion of 1 to 4 Hz curve more than the motion does, so means of
+    both told false gains and forces of 11 to 70 nat, and `unexplained`."""
+    body = RigidBody.from_urdf(ICUB_OWN.read_text(), ICUB_JOINTS, 'effort')
+    fast = as_recorded(body, smooth_motion(4, int(30 * rate), rate=rate, speed=speed), noise=0.003)
+    found = diagnose(body, fast)
+    assert found.verdict == 'nothing_missing'
+    assert found.inputs.factor <= most
+
+
 @pytest.mark.parametrize('kind', ['viscous_friction', 'coulomb_friction'])
 def test_friction_stands_alone_where_accelerations_are_estimated(kind):
     """A small delay averaged the noise of estimated accelerations, and coarse samples bent the turning over."""
