@@ -164,7 +164,7 @@ class Ensemble:
         if not keep:
             self._marks.clear()
         elif not self._marks or not 0 <= stamp - self._marks[-1][0] < MARK_NS:
-            self._marks.append((stamp, [each.model.recursion.state() for each in self.models]))
+            self._marks.append((stamp, self.recursions()))
 
     def go_back(self) -> None:
         """Take back what was learnt since the oldest mark."""
@@ -173,12 +173,19 @@ class Ensemble:
                 each.model.recursion.restore(state)
             self.clear_horizons()
 
-    def follow_change(self) -> None:
+    def recursions(self) -> list[dict[str, Array | Indices]]:
+        """A copy of what the recursion of each model has learnt."""
+        return [each.model.recursion.state() for each in self.models]
+
+    def follow_change(self, begun: Sequence[Mapping[str, Array | Indices]] = ()) -> None:
         """The robot has changed: see
-        :meth:`~semiparam_ros.core.recursion.SemiParametricRecursion.follow_change`."""
+        :meth:`~semiparam_ros.core.recursion.SemiParametricRecursion.follow_change`.
+
+        :param begun: of each model, see :meth:`recursions`.
+        """
         self.carried.interrupt()
-        for each in self.models:
-            each.model.recursion.follow_change()
+        for number, each in enumerate(self.models):
+            each.model.recursion.follow_change(begun[number] if begun else None)
 
     def clear_horizons(self) -> None:
         """Forget half-finished horizons, and what the models would go back to."""

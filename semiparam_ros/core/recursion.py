@@ -178,11 +178,15 @@ class SemiParametricRecursion:
         self.take_over(update.theta, learn(*self.arrays, prior, outputs, update))
         return update
 
-    def follow_change(self) -> None:
+    def follow_change(self, begun: Mapping[str, Array | Indices] | None = None) -> None:
         """The robot has changed: let the past count less from the next samples on, and keep what
-        was known :attr:`before`. No estimate moves by that."""
+        was known :attr:`before`. No estimate moves by that, unless it is to go on from what it had
+        ``begun`` with (:meth:`state`)."""
         self.before, self._compared = None, np.zeros(3)
-        self.before = deepcopy(self)
+        before = deepcopy(self)
+        if begun is not None:
+            self.restore(begun)
+        self.before = before
         if self._memory > KEPT:
             self._discounts = ceil(log(KEPT / self._memory) / log(DISCOUNT)) + self._round
 

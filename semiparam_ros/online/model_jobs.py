@@ -23,9 +23,9 @@ EstimatorJob = Callable[..., Estimator]
 """Gives an estimator, in the background."""
 
 OLDER = 5
-"""One of so many samples before a later window is learnt, none from before a change of the robot:
-hyperparameters of that window make a model that fits other motion less well than it believes, and
-where that is most of what it learns the new motion is fitted the worse."""
+"""One of so many samples before a later window is learnt: hyperparameters of that window make a model
+that fits other motion less well than it believes, and where that is most of what it learns the new
+motion is fitted the worse. From before a change of the robot they are what it may return to."""
 OLDER_OF_DRAFT = 1000
 """Of a draft, which is wanted soon, so many at most."""
 
@@ -74,15 +74,20 @@ def renew(settings: Settings, body: RigidBody, batch: SampleBatch, origin: int |
     compared = later_window(learnt, judged(later.samples))
     changed = (learning[:begin] == Learning.AFTER_CHANGE) & (np.cumsum(learnt[:begin]) > KEPT)
     since = int(np.flatnonzero(changed)[-1]) if changed.any() else 0
-    every = max(OLDER, -((since - begin) // OLDER_OF_DRAFT)) if later.draft else OLDER
+    first, every = (max(OLDER, -(-count // OLDER_OF_DRAFT)) if later.draft else OLDER
+                    for count in (since, begin - since))
     older = np.zeros(begin, dtype=bool)
-    older[since::every] = True
+    older[:since:first] = older[since::every] = True
     learning[:begin] = np.minimum(learning[:begin], np.where(older, Learning.YES, Learning.NO))
-    parts = [*batch.part(since, start, every).rows, *batch.part(start).rows]
-    numbers = np.r_[since:start:every, start:len(batch)]
-    each = zip(replace(batch, rows=parts).pairs(), learning[numbers].tolist(), compared[numbers].tolist(),
-               strict=True)
-    for (sample, _), learns, chosen in each:
+    before = min(since, start)
+    parts = [*batch.part(0, before, first).rows, *batch.part(since, start, every).rows, *batch.part(start).rows]
+    numbers = np.r_[:before:first, since:start:every, start:len(batch)]
+    each = zip(numbers.tolist(), replace(batch, rows=parts).pairs(), learning[numbers].tolist(),
+               compared[numbers].tolist(), strict=True)
+    begun = estimator.ensemble.recursions()
+    for number, (sample, _), learns, chosen in each:
+        if number == since > 0:
+            estimator.ensemble.follow_change(begun)
         prediction = estimator.predict(sample)
         if chosen:
             errors.add(prediction)

@@ -110,7 +110,7 @@ def test_a_draft_does_not_wait_where_a_whole_window_must(monkeypatch):
 @pytest.mark.parametrize(('draft', 'every', 'changed'), [(False, 5, 0), (True, 23, 0), (False, 5, 60), (True, 17, 60)])
 def test_older_motion_does_not_outvote_the_window_nor_delay_its_draft(draft, every, changed, effects, monkeypatch):
     """Of what was learnt before it, a fifth is learnt again; of a draft at most so many, however long the life. Of a
-    robot that has changed since, nothing is."""
+    robot that has changed since it is kept apart, to return to: a load was put down, and nothing was left of that."""
     monkeypatch.setattr('semiparam_ros.online.model_jobs.OLDER_OF_DRAFT', 10)
     monkeypatch.setattr('semiparam_ros.online.model_jobs.KEPT', 50.0)
     pairs = [(sample, Learning.AFTER_CHANGE if changed and number == changed else Learning.YES)
@@ -118,13 +118,18 @@ def test_older_motion_does_not_outvote_the_window_nor_delay_its_draft(draft, eve
     settings = replace(SLOWER, effects=effects)
     renewed = renew(settings, BODY, batch_of(pairs), DAY[0].stamp, RecentWindow(100, draft=draft))
     expected = new_estimator(settings, BODY, known_of(renewed), DAY[0].stamp)
+    begun, first = expected.ensemble.recursions(), 6 if draft else 5
     for number, (sample, _) in enumerate(pairs):
-        if number >= 230 or (number >= changed and (number - changed) % every == 0):
+        if number == changed > 0:
+            expected.ensemble.follow_change(begun)
+        begin, step = (changed, every) if number >= changed else (0, first)
+        if number >= 230 or (number - begin) % step == 0:
             expected.observe(expected.predict(sample))
         elif effects:  # they may remember what is not learnt
             expected.observe(expected.predict(sample), False)
     for sample in DAY[330:340]:
         np.testing.assert_allclose(renewed.predict(sample)[:2], expected.predict(sample)[:2], rtol=1e-9)
+    assert (renewed.model.recursion.before is not None) == bool(changed)
 
 
 @pytest.mark.parametrize('wish', [{'effects': ('sensor_drift',)}, {'variant': 'P'}])

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from semiparam_ros.online.identified_parameters import reported_load
+from semiparam_ros.online.identified_parameters import Load, reported_load
 from semiparam_ros.ros.estimator.autosave import Autosave
 from semiparam_ros.ros.estimator.diagnosing import Diagnosing, Running
 from semiparam_ros.ros.estimator.diagnostics import (
@@ -129,6 +129,15 @@ def test_the_health_of_a_model_does_not_change_every_second():
             tally.add(answer._replace(innovation=innovation))
         levels.append(model_report(stage.learner, tally).level)
     assert levels == [OK] + [WARN] * (REPORTS + 2) + [OK]
+
+
+@pytest.mark.parametrize(('mass', 'why'), [
+    (-2.0, 'the arm is lighter than its description, or the outputs have the wrong sign.'),
+    (0.1, 'the mass is below two standard deviations.')])
+def test_a_payload_without_a_centre_says_why(mass, why):
+    """A sensor of the other convention carried -2.02 +- 0.0005 kg, "below two standard deviations"."""
+    load = Load('hand', np.array([mass, *np.zeros(9)]), 0.01 * np.eye(10))
+    assert payload_sentence(reported_load(*load)).endswith(f'its centre and inertia are withheld: {why}')
 
 
 def test_a_payload_is_withheld_while_nobody_can_know_it_and_has_the_stamp_of_the_latest_answer():

@@ -433,7 +433,10 @@ def payload_sentence(carried: CarriedLoad) -> str:
     assert carried.std is not None
     untold = ''
     if not np.isfinite(carried.centre).all():
-        untold = '; its centre and inertia are withheld: the mass is below two standard deviations.'
+        lighter = carried.mass < -2.0 * carried.std.mass
+        why = 'the arm is lighter than its description, or the outputs have the wrong sign' if lighter else \
+            'the mass is below two standard deviations'
+        untold = f'; its centre and inertia are withheld: {why}.'
     elif not np.isfinite(carried.inertia).all():
         untold = '; its inertia is withheld: no body has the one that fits.'
     return f'{carried.mass:.3g} +- {carried.std.mass:.2g} kg at {carried.link}{untold}'
