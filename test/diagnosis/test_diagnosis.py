@@ -91,6 +91,15 @@ def test_means_of_fast_motion_are_no_gain(rate, speed, most):
     assert found.inputs.factor <= most
 
 
+def test_what_was_found_shows_that_the_motion_is_too_fast_for_the_working_rate():
+    """A delay of all efforts hid it, and false gains stood beside the delay."""
+    body = RigidBody.from_urdf(ICUB_OWN.read_text(), ICUB_JOINTS, 'effort')
+    fast = as_recorded(body, smooth_motion(4, 15000, rate=500.0, speed=2.5), noise=0.003)
+    found = diagnose(body, replace(fast, outputs=np.roll(fast.outputs, 3, axis=0))[3:])
+    assert [finding.effect.kind for finding in found.findings] == ['time_delay']
+    assert found.findings[0].parameters['delay_s'].value == pytest.approx(0.006, abs=1e-4)
+
+
 @pytest.mark.parametrize('kind', ['viscous_friction', 'coulomb_friction'])
 def test_friction_stands_alone_where_accelerations_are_estimated(kind):
     """A small delay averaged the noise of estimated accelerations, and coarse samples bent the turning over."""
