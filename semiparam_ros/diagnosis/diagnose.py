@@ -333,9 +333,10 @@ def _evaluated(fit: Fit, start: _Start, judged: Mask) -> Evaluation:
 
 def _left(final: Fit, samples: Samples, start: _Start) -> tuple[Structure, list[str]]:
     """The structure of what the final model leaves, and what is said of a motion that is too fast for its rate."""
-    structure, fast = remaining_structure(final), too_fast(samples, start.inputs, final)
-    if fast and structure.share < final.config.most:
-        structure = replace(structure, significant=False)  # errors of the inputs explain more than that
+    structure, (fast, by_inputs) = remaining_structure(final), too_fast(samples, start.inputs, final)
+    beyond = structure.channel_shares > by_inputs
+    if fast and not any(beyond[final.body.output_names.index(name)] for name in structure.channels):
+        structure = replace(structure, significant=False)  # errors of the inputs explain as much of each
     return structure, fast
 
 

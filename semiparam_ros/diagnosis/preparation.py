@@ -213,29 +213,30 @@ def with_usual(body: RigidBody, samples: Samples, effects: Sequence[Effect]) -> 
     return [*effects, *usual]
 
 
-def too_fast(samples: Samples, inputs: Inputs, fit: Fit) -> list[str]:
-    """A sentence where errors of estimated accelerations make most of what the model leaves; empty otherwise.
+def too_fast(samples: Samples, inputs: Inputs, fit: Fit) -> tuple[list[str], Array]:
+    """A sentence where errors of estimated accelerations make most of what the model leaves of an output; empty
+    otherwise. And (n,) the share of what it leaves of each that they make.
 
     :param fit: the model on the prepared samples.
     """
     if inputs.measured_accelerations or samples.breaks:
-        return []
+        return [], np.zeros(fit.body.n_outputs)
     config, raw, smoother = fit.config, inputs.working(samples), SMOOTHED[inputs.motion]
     spread = fit.samples.acceleration.std(axis=0)
     left = fit.squares / np.maximum(fit.counts, 1.0)
     power = np.mean(inertia_columns(fit.body, fit.samples, fit.rigid_part)[fit.train_mask] ** 2, axis=0)
     errors, *finer = acceleration_errors(raw, *smoother, times=(1, *config.faster))
-    share, *shares = [float((power @ each**2 / left).max()) for each in (errors, *finer)]
-    if not share >= config.most:  # nor where they are not known
-        return []
+    share, *shares = [power @ each**2 / left for each in (errors, *finer)]
+    if not share.max() >= config.most:  # nor where they are not known
+        return [], share
     rate = inputs.factor * 1e9 / float(np.median(np.diff(raw.stamps)))
     enough = next((times for times, fewer in zip(config.faster, shares, strict=True)
-                   if fewer < config.little), None)
+                   if fewer.max() < config.little), None)
     worst = int((errors / np.maximum(spread, 1e-12)).argmax())
     remedy = f'record at {rate * enough:.0f} Hz, or measure them' if enough else 'measure them'
     return [f'The motion is too fast for {rate:.0f} Hz: accelerations cannot be had better than to '
             f'{100 * errors[worst] / max(spread[worst], 1e-12):.1f} % ({fit.body.joints[worst]}), and that is most of '
-            f'what the model leaves. Small effects found here, or small ones not found, say little; {remedy}.']
+            f'what the model leaves. Small effects found here, or small ones not found, say little; {remedy}.'], share
 
 
 def late(inputs: Inputs, samples: Samples, filter_declared: bool = False) -> list[str]:

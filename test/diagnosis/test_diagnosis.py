@@ -80,6 +80,18 @@ def test_what_errors_of_fast_motion_leave_is_no_effect_and_the_remedy_is_said(ou
     assert not any('too fast' in note for note in slow.notes)
 
 
+def test_an_output_of_which_errors_of_the_motion_explain_less_is_looked_at_beside_others():
+    """Motion that was too fast for one output silenced what was left of all."""
+    body = RigidBody.from_urdf(ICUB_OWN.read_text(), ICUB_JOINTS, 'effort')
+    fast = as_recorded(body, smooth_motion(4, 1500, speed=5.0))
+    more, (_, before, own, _) = np.zeros_like(fast.outputs), fast.position.T
+    more[:, 2] = 0.5 * fast.outputs[:, 2].std() * np.sin(2.0 * own) * np.cos(2.0 * before)
+    found = diagnose(body, replace(fast, outputs=fast.outputs + more))
+    assert found.verdict == 'unexplained'
+    assert found.structure.significant and found.structure.channels == (body.output_names[2],)
+    assert any('too fast for 20 Hz' in note for note in found.notes)
+
+
 @pytest.mark.parametrize(('rate', 'speed', 'most'), [(100.0, 5.0, 1), (500.0, 2.5, 11)])
 def test_means_of_fast_motion_are_no_gain(rate, speed, most):
     """Over a working sample of 40 Hz the outputs of motion of 1 to 4 Hz curve more than the motion does, so means of
