@@ -197,9 +197,9 @@ def fast_enough(fit: Fit, samples: Samples, inputs: Inputs) -> DiagnosisConfig:
     return replace(config, working_rate_hz=1e9 / float(np.median(np.diff(samples.stamps))) / (fewer + 0.5))
 
 
-def of_one_rate(recordings: Sequence[Samples]) -> list[Samples]:
+def of_one_rate(recordings: Sequence[Samples], config: DiagnosisConfig = DEFAULTS) -> list[Samples]:
     """The recordings, those that are faster averaged down to about the rate of the slowest."""
-    factors = [working_factor(samples) for samples in recordings]
+    factors = [working_factor(samples, config) for samples in recordings]
     return [averaged(samples, factor // min(factors)) for samples, factor in zip(recordings, factors, strict=True)]
 
 
