@@ -177,15 +177,15 @@ class Ensemble:
         """A copy of what the recursion of each model has learnt."""
         return [each.model.recursion.state() for each in self.models]
 
-    def follow_change(self, begun: Sequence[Mapping[str, Array | Indices]] = ()) -> None:
+    def follow_change(self) -> int:
         """The robot has changed: see
-        :meth:`~semiparam_ros.core.recursion.SemiParametricRecursion.follow_change`.
-
-        :param begun: of each model, see :meth:`recursions`.
-        """
+        :meth:`~semiparam_ros.core.recursion.SemiParametricRecursion.follow_change`; how many models are
+        as before."""
         self.carried.interrupt()
-        for number, each in enumerate(self.models):
-            each.model.recursion.follow_change(begun[number] if begun else None)
+        returns = sum([each.model.recursion.follow_change() for each in self.models])
+        if returns:
+            self.clear_horizons()
+        return returns
 
     def clear_horizons(self) -> None:
         """Forget half-finished horizons, and what the models would go back to."""

@@ -228,7 +228,7 @@ class Estimator:
 
     def follow_change(self) -> None:
         """The robot has changed: see :meth:`~semiparam_ros.core.recursion.SemiParametricRecursion.follow_change`."""
-        self.ensemble.follow_change()
+        self.returns += self.ensemble.follow_change()
 
     def gather(self, sample: Sample, learn: bool = True) -> None:
         """Take a sample into the initial window alone: the rigid body neither answers nor learns it.

@@ -28,7 +28,7 @@ import secrets
 from collections.abc import Mapping
 from copy import deepcopy
 from itertools import count
-from math import ceil, exp, log, sqrt
+from math import ceil, log, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -51,13 +51,11 @@ BACK, COMPARED_S = 0.5, 2.0
 small a share of that of the model in force."""
 LEAST_COMPARED_S = 1.0
 """Of those seconds so many must have been seen."""
+LATEST_S = 0.25
+"""Where the robot is told to have changed, the last quarter of a second says whether it is as before."""
 
 TOGETHER = 3
 """Rows that a reflection takes in at a time."""
-
-DISCOUNT, KEPT = 0.99, 1000.0
-"""A change of the robot: the past is forgotten at this factor until it counts as so many samples.
-Over the samples after that, one for each feature, the prior is renewed."""
 
 REVISIONS = count(secrets.randbits(60))
 """Numbers the states of all models. It starts at random, so that no two processes give the same
@@ -67,7 +65,7 @@ LARGEST_LOSS = log(1e4)
 """Of the information of a weight that is not excited, what may be forgotten before its prior is
 renewed [nat]."""
 
-_LEARNT = ('theta', '_weights', '_regression', '_prior_information', '_renewed', '_discounts', '_memory')
+_LEARNT = ('theta', '_weights', '_regression', '_prior_information', '_renewed')
 """What changes places with that of :attr:`SemiParametricRecursion.before`."""
 
 
@@ -132,23 +130,28 @@ class SemiParametricRecursion:
         self._check()
         self.theta = np.zeros(self.n_columns) if prior_mean is None else np.array(prior_mean, dtype=float)
         self._weights = SquareRootFilter(n_features, rho, (self.n_columns + 1) * n_outputs)
-        self._renewed = self._discounts = 0
-        self._memory = 0.0
+        self._renewed = 0
         self.before: SemiParametricRecursion | None = None
         """As it was before the robot last changed."""
         self.compared_at = 0
         """[ns] Stamp of the last sample at which the two were compared."""
-        self._compared: Array = np.zeros(3)
-        """Squared errors of this model and of :attr:`before`, and seconds, over the last few."""
-        information = np.zeros((self.n_columns + 1, self.n_columns + 1))
-        diagonal = np.arange(self.n_columns)
-        information[diagonal, diagonal] = 1.0 / self._prior_std[::-1]
+        self._compared: Array = np.zeros((2, 3))
+        """Squared errors of this model and of :attr:`before`, and seconds, over the last few, and over
+        the latest."""
         self._prior_information: Array = self._prior_std**-2
         """(p,) of R'R, what is the prior's and not the samples': it is forgotten and renewed."""
-        information[:-1, -1] = (self.theta / self._prior_std)[::-1]
-        self._regression = Regression(information, self.scale, self.sigma, self.sigma * sqrt(autocorrelation_time))
+        self._regression = Regression(self._prior_root(), self.scale, self.sigma,
+                                      self.sigma * sqrt(autocorrelation_time))
         self._nothing_known = np.zeros(n_outputs)
         self.revise()
+
+    def _prior_root(self) -> Array:
+        """(p + 1, p + 1) R of the prior about theta."""
+        root = np.zeros((self.n_columns + 1, self.n_columns + 1))
+        diagonal = np.arange(self.n_columns)
+        root[diagonal, diagonal] = 1.0 / self._prior_std[::-1]
+        root[:-1, -1] = (self.theta / self._prior_std)[::-1]
+        return root
 
     def predict(self, phi: Array, columns: Array, known: Array | None = None,
                 extra_variance: Array | None = None) -> Prior:
@@ -178,17 +181,24 @@ class SemiParametricRecursion:
         self.take_over(update.theta, learn(*self.arrays, prior, outputs, update))
         return update
 
-    def follow_change(self, begun: Mapping[str, Array | Indices] | None = None) -> None:
-        """The robot has changed: let the past count less from the next samples on, and keep what
-        was known :attr:`before`. No estimate moves by that, unless it is to go on from what it had
-        ``begun`` with (:meth:`state`)."""
-        self.before, self._compared = None, np.zeros(3)
-        before = deepcopy(self)
-        if begun is not None:
-            self.restore(begun)
-        self.before = before
-        if self._memory > KEPT:
-            self._discounts = ceil(log(KEPT / self._memory) / log(DISCOUNT)) + self._round
+    def follow_change(self) -> bool:
+        """The robot has changed: whether into what it was :attr:`before`.
+
+        Else by as much as the prior expects of any robot: theta and the weights stay what they are,
+        with the prior's covariance, and what was known is kept :attr:`before`.
+        """
+        now, then, _ = self._compared[1]
+        if then < BACK * now and self._return():
+            return True
+        self.before, self._compared = None, np.zeros((2, 3))
+        self.before = deepcopy(self)
+        estimates = np.zeros((self.n_outputs, self.n_columns + 1, self.n_features))
+        estimates[:, -1] = self.weights()
+        self._weights.begin(self.rho, estimates.reshape(len(self._weights.root.places), self.n_features))
+        self._regression = self._regression._replace(information=self._prior_root())
+        self._prior_information = self._prior_std**-2
+        self.revise()
+        return False
 
     def compare(self, seconds: float, now: Array, then: Array) -> bool:
         """Charge what this model and the one :attr:`before` left of a sample (n,), so long after
@@ -196,16 +206,21 @@ class SemiParametricRecursion:
 
         True where the robot is as it was before (a load was put down): the two have changed places.
         """
-        squares = [float(((left / self.scale) ** 2).sum()) for left in (now, then)]
-        self._compared = exp(-seconds / COMPARED_S) * self._compared + seconds * np.array([*squares, 1.0])
-        before = self.before
-        if before is None or self._compared[2] < LEAST_COMPARED_S or self._compared[1] >= BACK * self._compared[0]:
+        charged = [float(((left / self.scale) ** 2).sum()) for left in (now, then)] + [1.0]
+        kept = np.exp(-seconds / np.array([[COMPARED_S], [LATEST_S]]))
+        self._compared = kept * self._compared + seconds * np.array(charged)
+        (now_left, then_left, seen), _ = self._compared
+        return seen >= LEAST_COMPARED_S and then_left < BACK * now_left and self._return()
+
+    def _return(self) -> bool:
+        """Change places with the model from before; whether there is one."""
+        before, self._compared = self.before, np.zeros((2, 3))
+        if before is None:
             return False
         for name in _LEARNT:
             mine, its = getattr(self, name), getattr(before, name)
             setattr(self, name, its)
             setattr(before, name, mine)
-        self._compared = np.zeros(3)
         self.revise()
         return True
 
@@ -220,7 +235,8 @@ class SemiParametricRecursion:
         self.theta = theta
         if self.n_features:
             self._weights.has_changed(placed)
-        self._perhaps_forget()
+        if self.forgetting < 1.0:
+            self._forget(self.forgetting)
 
     def revise(self) -> None:
         """Make every prior computed so far stale; each change of the model does."""
@@ -258,8 +274,8 @@ class SemiParametricRecursion:
     def state(self) -> dict[str, Array | Indices]:
         """Everything learnt, as arrays; :meth:`restore` takes them back bit for bit."""
         before = {} if self.before is None else self.before.state()
-        return {**self._weights.state(), 'renewed': np.array([self._renewed, self._discounts, self.compared_at]),
-                'memory': np.array(self._memory), 'compared': self._compared.copy(),
+        return {**self._weights.state(), 'renewed': np.array([self._renewed, self.compared_at]),
+                'compared': self._compared.copy(),
                 'information': self._regression.information.copy(),
                 'prior_information': self._prior_information.copy(), 'theta': self.theta.copy(),
                 **{f'before.{name}': values for name, values in before.items()}}
@@ -280,8 +296,8 @@ class SemiParametricRecursion:
                                      f'{self.n_columns} columns.')
         self.revise()
         self._weights.restore(state)
-        self._renewed, self._discounts, self.compared_at = np.asarray(state['renewed']).tolist()
-        self._memory, self._compared = float(state['memory']), np.array(state['compared'], dtype=float)
+        self._renewed, self.compared_at = np.asarray(state['renewed']).tolist()
+        self._compared = np.array(state['compared'], dtype=float)
         self._regression = self._regression._replace(
             information=np.array(state['information'], dtype=float, order='C'))
         self._prior_information = np.array(state['prior_information'], dtype=float)
@@ -301,24 +317,6 @@ class SemiParametricRecursion:
         if not 0.0 < self.forgetting <= 1.0:
             raise SemiparamError(f'forgetting is {self.forgetting}; expected a value above 0 and at most 1.')
 
-    @property
-    def _round(self) -> int:
-        """Samples within which every feature weight and coefficient is renewed once."""
-        return max(self.n_features, self.n_columns)
-
-    def _perhaps_forget(self) -> None:
-        """Forget or renew what is due after each sample that is learnt."""
-        factor = self.forgetting
-        if self._discounts:
-            self._discounts -= 1
-            if self._discounts >= self._round:
-                factor = min(factor, DISCOUNT)
-            elif factor == 1.0:
-                self._renew(0.0)
-        self._memory = factor * self._memory + 1.0
-        if factor < 1.0:
-            self._forget(factor)
-
     def _forget(self, factor: float) -> None:
         """Weigh the past less, and renew what of the prior is forgotten so."""
         self._regression.information[:] *= np.sqrt(factor)
@@ -329,7 +327,7 @@ class SemiParametricRecursion:
 
     def _renew(self, factor: float) -> None:
         """Renew the prior of one feature weight and one coefficient in turn, of which each round
-        forgets by ``factor`` for each sample; 0: all of it, once in the samples that are left.
+        forgets by ``factor`` for each sample.
 
         What the motion no longer excites would otherwise lose all information, the prior's
         included: its variance would grow without bound while the robot stands still, and the model
@@ -338,9 +336,7 @@ class SemiParametricRecursion:
         several are renewed for each sample: what waits for its turn keeps its digits.
         """
         for size, renew in ((self.n_features, self._renew_weight), (self.n_columns, self._renew_coefficient)):
-            times = int(self._discounts < size)  # each once
-            if factor:
-                times = max(1, ceil(size * log(1.0 / factor) / LARGEST_LOSS))
+            times = max(1, ceil(size * log(1.0 / factor) / LARGEST_LOSS))
             for number in range(times if size else 0):
                 renew((self._renewed * times + number) % size, factor**ceil(size / times))
         self._renewed += 1

@@ -61,11 +61,21 @@ class SquareRootFilter:
     zero."""
 
     def __init__(self, size: int, deviation: float, n_estimates: int = 0) -> None:
-        array = np.zeros((size + n_estimates, size))
-        array[:size] = deviation * np.eye(size)
         self.size = size
+        array = np.zeros((size + n_estimates, size))
         left, right = np.zeros((MOST_WAITING, size)), np.zeros((MOST_WAITING, size + n_estimates))
         self.root = Root(array, left, right, 0, 1.0, np.full(n_estimates, -1), 0)
+        self.begin(deviation, np.zeros((n_estimates, size)))
+
+    def begin(self, deviation: float, estimates: Array) -> None:
+        """Start anew, Theta' from estimates (q, D)."""
+        root, size, used = self.root, self.size, estimates.any(axis=1)
+        placed = int(used.sum())
+        root.array[:] = 0.0
+        root.array[:size] = deviation * np.eye(size)
+        root.array[size : size + placed] = estimates[used]
+        places = np.where(used, np.cumsum(used) - 1, -1)
+        self.root = root._replace(waiting=0, inflation=1.0, places=places, placed=placed)
 
     def project(self, phi: Array) -> Projection:
         """Products that a prediction at phi (D,) needs; nothing changes."""

@@ -4,9 +4,10 @@ What was noticed (:mod:`semiparam_ros.online.changes`) is named from the samples
 (:mod:`semiparam_ros.diagnosis.change`), again and again as more of them come, beside what the model
 declares and the changes that were named before.
 
-With ``diagnosis.auto: apply`` what was named is tried beside the model, applied, and taken back when
-it is over (:mod:`semiparam_ros.online.applied_effects`). Meanwhile nothing is learnt of samples that
-stand out, so that what was learnt stays that of the robot before the change.
+The model follows what was told. With ``diagnosis.auto: apply`` what was named is tried beside the
+model instead, applied, and taken back when it is over (:mod:`semiparam_ros.online.applied_effects`).
+Meanwhile nothing is learnt of samples that stand out, so that what was learnt stays that of the
+robot before the change.
 """
 
 from __future__ import annotations
@@ -295,6 +296,8 @@ class ChangeWatch:
         self.applied = AppliedEffects(body)
         self.holds = self.begins_to_hold = False
         """Whether the next sample is not to be learnt, and whether it is the first one."""
+        self.follows = False
+        """Whether the next sample that is learnt is the first one of a robot that has changed."""
         self._held_s = 0.0
         self._assumed = 0, 0
         """The change whose load is taken off before it is named, and of how many blocks it is."""
@@ -378,13 +381,14 @@ class ChangeWatch:
     def forget(self) -> None:
         """Another model predicts, of which nothing is known yet; what was told stays."""
         self.detector = self._columns = None
-        self.holds = False
+        self.holds = self.follows = False
         self.applied.assume(None)
         self._contacts.end(self._now)
 
     def reset(self) -> None:
         """Drop what is half seen, as after a jump of the clock: what came before is no longer there
         to name a change from."""
+        self.follows = False
         self.applied.reset()
         self._contacts.reset()
         self._due, self._past, self._first = [], max(self.records, default=0), None
@@ -406,6 +410,7 @@ class ChangeWatch:
         if block is not None:
             self._contacts.see(block, detector.touched, change is not None)
         if change is not None:
+            self.follows |= not self.applies and change.ended is None and change.number not in self.records
             self._record(change)
         if block is not None and detector.judges:
             self._judge(detector, block)
@@ -512,7 +517,7 @@ class ChangeWatch:
 
     def _learn(self) -> None:
         """Let the model learn what no effect of the robot explains; with it another error is usual."""
-        self.holds, self._held_s = False, 0.0
+        self.holds, self._held_s, self.follows = False, 0.0, True
         self.applied.assume(None)
         if self.detector is not None:
             self.detector.learn_usual()
@@ -653,12 +658,35 @@ class ChangeWatch:
                 return
             if record.was_applied and _identity(named.effect) != _identity(record.effect):
                 named = record.named  # what predicts is what is told
+            if (over := self._ended_by(number, named.effect)) is not None:
+                self._end(over, number)
+                return
             record = replace(record, named=named, times_named=record.times_named + 1, unnamed='')
             self.records[number] = record
             if record.retracted:
                 self._retract(number)
             self._told(record)
             self._try(record)
+
+    def _ended_by(self, number: int, effect: Effect | None) -> int | None:
+        """The change that was learnt and is over, where a later one is named as that."""
+        if effect is None or not effect.ends:
+            return None
+        for other, record in self.records.items():
+            known, trial = record.effect, self.applied.of_change(other)
+            if (self._past < other < number and known is not None and not known.ends and not (trial and trial.applied)
+                    and known.without_span() == effect.without_span()
+                    and known.span.start_stamp_s == effect.span.start_stamp_s):
+                return other
+        return None
+
+    def _end(self, number: int, by: int) -> None:
+        """A change that was learnt is over since another one began, which is none of its own."""
+        ended, record = self.records[by].change.since, self.records[number]
+        self._forget_record(by)
+        if self.detector is not None and self._followed is not None and self._followed.change.number == by:
+            self.detector.reset()
+        self._record(record.change._replace(noticed=self._now, ended=ended))
 
     def _ask_again(self, number: int, seconds: float) -> None:
         """Name a change anew after so much motion, unless that is due anyway."""

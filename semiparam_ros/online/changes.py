@@ -235,15 +235,15 @@ def _beside(fits: Sequence[CauseFit], alone: Array, rival: Array, counts: Indice
 
 
 class Followed:
-    """A change that was told, with the sums of all blocks since it began: its coefficients, in
-    units of their prior."""
+    """A change that was told, with the sums of all blocks since it began but the first, which has a
+    part of it: its coefficients, in units of their prior."""
 
     def __init__(self, change: Change, judged: Judged, blocks: Sequence[MotionBlock]) -> None:
         self.change, self.cause, self.blocks = change, judged.cause, 0
         self.theta = judged.theta
         self._latest = deque([judged.theta], maxlen=SETTLED)
         self._gram, self._moment = np.zeros((len(self.theta),) * 2), np.zeros(len(self.theta))
-        for block in blocks:
+        for block in blocks[1:]:
             self._sum(block)
 
     def _sum(self, block: MotionBlock) -> None:
@@ -568,6 +568,7 @@ class ChangeDetector:
             self._compared = COMPARED * self._compared + (left, block.live, 1.0)
             if self._compared[2] < LEAST_COMPARED or self._compared[1] > self._compared[0]:
                 return
+            self._blocks.clear()  # they were compared with the one from before
             self._before.clear()
         self.followed = None
         self._refer()

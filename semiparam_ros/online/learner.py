@@ -177,6 +177,7 @@ class Learner:
                 'a change of the robot, and is learnt.')
         learning = learning_of(prediction, self.settings.learning and not contact, self.gate, self.changes)
         self.gate.changed &= learning in (Learning.NO_NEWS, Learning.NO)
+        self.changes.follows &= learning in (Learning.NO_NEWS, Learning.NO)
         self.changes.begins_to_hold &= learning != Learning.TAKEN_BACK
         answer = Answer(self._as_measured(prediction, of_tools, of_changes), sample.outputs - prediction.mean,
                         standardised_innovation(prediction), learning, contact, self.gate.level, *self.gate.places(),

@@ -36,7 +36,7 @@ class Learning(IntEnum):
     NO = 0
     YES = 1
     AFTER_CHANGE = 2
-    """The first one learnt after a lasting change of the robot: what was learnt before counts for less."""
+    """The first one learnt after a lasting change of the robot: the model begins anew from what it knows."""
 
 
 def learning_of(prediction: Prediction, learn: bool, gate: ContactGate,
@@ -49,13 +49,11 @@ def learning_of(prediction: Prediction, learn: bool, gate: ContactGate,
         return Learning.NO_NEWS
     if learn and changes.holds:
         return Learning.TAKEN_BACK if changes.begins_to_hold else Learning.OFFSET
-    return Learning.AFTER_CHANGE if learn and gate.changed else Learning(learn)
+    return Learning.AFTER_CHANGE if learn and (gate.changed or changes.follows) else Learning(learn)
 
 
 def observe(estimator: Estimator, prediction: Prediction, learning: int, finish: bool = True) -> HorizonErrors | None:
     """See :meth:`Estimator.observe <semiparam_ros.core.estimator.Estimator.observe>`."""
-    if learning == Learning.AFTER_CHANGE:
-        estimator.follow_change()
     motion, is_news = prediction.motion, learning != Learning.NO_NEWS
     if motion.is_news != is_news:
         prediction = prediction._replace(motion=motion._replace(is_news=is_news))
@@ -63,4 +61,6 @@ def observe(estimator: Estimator, prediction: Prediction, learning: int, finish:
     complete = estimator.observe(prediction, learning > 0, finish, follow)
     if learning == Learning.TAKEN_BACK:
         estimator.go_back()
+    elif learning == Learning.AFTER_CHANGE:
+        estimator.follow_change()
     return complete

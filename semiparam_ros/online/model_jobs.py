@@ -10,7 +10,6 @@ import numpy as np
 
 from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.hyperparameters.estimation import Hyperparameters
-from semiparam_ros.core.recursion import KEPT
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online.history import SampleBatch
@@ -72,8 +71,8 @@ def renew(settings: Settings, body: RigidBody, batch: SampleBatch, origin: int |
     estimator, errors = new_estimator(settings, body, known_of(gathering), origin), Errors(body.n_outputs)
     estimator.marks |= bool((learning == Learning.TAKEN_BACK).any())
     compared = later_window(learnt, judged(later.samples))
-    changed = (learning[:begin] == Learning.AFTER_CHANGE) & (np.cumsum(learnt[:begin]) > KEPT)
-    since = int(np.flatnonzero(changed)[-1]) if changed.any() else 0
+    changed = np.flatnonzero(learning[:begin] == Learning.AFTER_CHANGE)
+    since = int(changed[-1]) if len(changed) else 0
     first, every = (max(OLDER, -(-count // OLDER_OF_DRAFT)) if later.draft else OLDER
                     for count in (since, begin - since))
     older = np.zeros(begin, dtype=bool)
@@ -84,10 +83,9 @@ def renew(settings: Settings, body: RigidBody, batch: SampleBatch, origin: int |
     numbers = np.r_[:before:first, since:start:every, start:len(batch)]
     each = zip(numbers.tolist(), replace(batch, rows=parts).pairs(), learning[numbers].tolist(),
                compared[numbers].tolist(), strict=True)
-    begun = estimator.ensemble.recursions()
     for number, (sample, _), learns, chosen in each:
         if number == since > 0:
-            estimator.ensemble.follow_change(begun)
+            estimator.follow_change()
         prediction = estimator.predict(sample)
         if chosen:
             errors.add(prediction)

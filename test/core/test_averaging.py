@@ -233,8 +233,7 @@ def test_one_sample_that_no_member_can_foresee_decides_nothing(averaged):
     assert all(np.isfinite(values).all() for values in model.weights.values())
 
 
-def test_members_return_from_a_change_with_their_horizons_and_a_state_holds_what_was_before(averaged, monkeypatch):
-    monkeypatch.setattr('semiparam_ros.core.recursion.KEPT', 20.0)
+def test_members_return_from_a_change_with_their_horizons_and_a_state_holds_what_was_before(averaged):
     samples, model, _ = averaged
     model = pickle.loads(pickle.dumps(model))
     later = [sample._replace(stamp=sample.stamp + time * int(samples.stamps[-1] - samples.stamps[0] + 10**7))

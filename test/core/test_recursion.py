@@ -1,14 +1,12 @@
 """The recursion against the dense textbook form on all p + D n unknowns, and against the batch solution."""
 
 import pickle
-from unittest.mock import patch
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from semiparam_ros.core import recursion as recursion_module
 from semiparam_ros.core.recursion import SemiParametricRecursion
 from semiparam_ros.core.robot.joint_friction import turning_variance
 from semiparam_ros.errors import SemiparamError
@@ -21,11 +19,11 @@ class Dense:
 
     def __init__(self, n, d, prior_std, rho, sigma, prior_mean, forgetting):
         self.n, self.d, self.p = n, d, len(prior_std)
-        self.noise, self.forgetting, self.lost = sigma**2 * np.eye(n), forgetting, forgetting
+        self.noise, self.forgetting = sigma**2 * np.eye(n), forgetting
         self.mean = np.concatenate([prior_mean, np.zeros(n * d)])
         self.covariance = np.diag(np.concatenate([np.square(prior_std), np.full(n * d, rho**2)]))
         self.prior_variance = np.diag(self.covariance).copy()
-        self.renewed = self.left = 0
+        self.renewed = 0
 
     def rows(self, phi, columns):
         return np.hstack([columns, np.kron(np.eye(self.n), phi)])
@@ -41,22 +39,22 @@ class Dense:
         self.mean = self.mean + gain @ (outputs - mean)
         self.covariance = self.covariance - gain @ rows @ self.covariance
         self.covariance = self.covariance / self.forgetting
-        if self.lost < 1.0:
+        if self.forgetting < 1.0:
             self.renew()
         self.covariance = 0.5 * (self.covariance + self.covariance.T)
 
     def renew(self):
         """What the recursion says of its renewals: a weight given theta, and a coefficient, stay what they are."""
-        if self.d and (self.lost or self.left < self.d):
+        if self.d:
             index = self.renewed % self.d
             covariance = self.covariance
             to_theta = np.linalg.solve(covariance[:self.p, :self.p], covariance[:self.p, self.p:]).T
             rows = np.array([np.eye(self.n * self.d)[k * self.d + index] for k in range(self.n)])
-            self.observe(np.hstack([-rows @ to_theta, rows]), self.prior_variance[-1] / (1 - self.lost**self.d))
-        if self.p and (self.lost or self.left < self.p):
+            self.observe(np.hstack([-rows @ to_theta, rows]), self.prior_variance[-1] / (1 - self.forgetting**self.d))
+        if self.p:
             index = self.renewed % self.p
             self.observe(np.eye(self.p + self.n * self.d)[[index]],
-                         self.prior_variance[index] / (1 - self.lost**self.p))
+                         self.prior_variance[index] / (1 - self.forgetting**self.p))
         self.renewed += 1
 
     def observe(self, rows, variance):
@@ -104,27 +102,17 @@ sizes = st.fixed_dictionaries({
 @given(sizes)
 @settings(max_examples=60)
 def test_it_equals_the_dense_recursion(case):
-    with patch.multiple(recursion_module, DISCOUNT=0.9, KEPT=5.0):
-        check_that_it_equals_the_dense_recursion(case)
-
-
-def check_that_it_equals_the_dense_recursion(case):
-    """Also when the robot changes: then both forget for some samples."""
+    """Also when the robot changes: what is known is then the mean of a new prior."""
     n, d, p = case['n'], case['d'], case['p']
     phi, columns, outputs = problem(case['seed'], 30, n, d, p)
     std = case['gamma'] * np.linspace(0.5, 2, p)
     mean = np.linspace(-1, 1, p) * case['centred']
     ours = SemiParametricRecursion(n, d, std, case['rho'], case['sigma'], mean, case['forgetting'])
     dense = Dense(n, d, std, case['rho'], case['sigma'], mean, case['forgetting'])
-    memory, left = 0.0, 0
     for index, row in enumerate(zip(phi, columns, outputs, strict=True)):
         if index in case['changes']:
             ours.follow_change()
-            left = 0 if memory <= 5.0 else max(d, p) + int(np.ceil(np.log(5.0 / memory) / np.log(0.9)))
-        dense.forgetting = min(case['forgetting'], 0.9) if left > max(d, p) else case['forgetting']
-        dense.lost = 0.0 if left and dense.forgetting == 1.0 else dense.forgetting
-        memory, left = dense.forgetting * memory + 1.0, max(left - 1, 0)
-        dense.left = left
+            dense.covariance = np.diag(dense.prior_variance)
         prior = ours.predict(*row[:2])
         expected_mean, expected_covariance = dense.predict(*row[:2])
         np.testing.assert_allclose(prior.mean, expected_mean, **SAME)
@@ -383,17 +371,26 @@ def test_what_is_forgotten_and_renewed_of_the_prior_does_not_count_as_samples(fo
     assert np.linalg.eigvalsh(fewer).min() > 0.0
 
 
-@pytest.mark.parametrize(('d', 'p'), [(40, 3), (3, 40)])
-def test_a_change_renews_each_prior_once(d, p, monkeypatch):
-    """Of 40 features and 3 columns the prior of a column came back 13 times."""
-    monkeypatch.setattr(recursion_module, 'KEPT', 100.0)
-    renewed = []
-    for name in ('_renew_weight', '_renew_coefficient'):
-        monkeypatch.setattr(SemiParametricRecursion, name,
-                            lambda model, index, kept, name=name: kept or renewed.append((name, index)))
-    model = SemiParametricRecursion(2, d, np.ones(p), 1.0, 0.1)
-    run(model, *problem(0, 200, 2, d, p))
+def test_after_a_change_little_that_comes_outvotes_the_past_and_what_was_known_returns():
+    """A body of 2 kg takes a load of 1 kg: after 5000 samples of it alone, 20 with the load tell it, as few without."""
+    rng, body, load = np.random.default_rng(0), np.array([2.0, 0.5]), np.array([1.0, -0.3])
+    model = SemiParametricRecursion(2, 0, np.ones(2), 1.0, 0.1)
+
+    def learn(theta, count):
+        for _ in range(count):
+            columns = rng.standard_normal((2, 2))
+            model.learn(model.predict(np.zeros(0), columns), columns @ theta + 0.1 * rng.standard_normal(2))
+        return np.abs(model.theta - theta).max()
+
+    assert learn(body, 5000) < 0.01
+    known = model.theta.copy()
     model.follow_change()
-    run(model, *problem(1, 200, 2, d, p))
-    assert sorted(renewed) == [('_renew_coefficient', index) for index in range(p)] + \
-        [('_renew_weight', index) for index in range(d)]
+    np.testing.assert_array_equal(model.theta, known)
+    assert learn(body + load, 20) < 0.1
+    assert model.before is not None
+    for _ in range(200):
+        columns = rng.standard_normal((2, 2))
+        outputs = columns @ body
+        if model.compare(0.01, outputs - columns @ model.theta, outputs - columns @ model.before.theta):
+            break
+    np.testing.assert_array_equal(model.theta, known)

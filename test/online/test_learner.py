@@ -433,10 +433,9 @@ def test_contacts_are_flagged_not_learnt_and_seen_in_the_residual():
     assert np.median(ends) < 240
 
 
-def test_a_load_is_told_and_learnt_when_the_gate_gives_way(monkeypatch):
+def test_a_load_is_told_and_learnt_when_the_gate_gives_way():
     """What was learnt before then counts for less, in the model in force, in one built later, and offline."""
-    monkeypatch.setattr('semiparam_ros.core.recursion.KEPT', 5.0)
-    settings = replace(SETTINGS, variant='P', gate_enabled=True, gate_timeout=1.0)
+    settings = replace(SETTINGS, variant='P', gate_enabled=True, gate_timeout=3.0, diagnosis_auto='off')
     samples, stage = motion(1200), Stage(settings, InlineBackground())
     samples[300:900] = [sample._replace(outputs=sample.outputs + 5.0) for sample in samples[300:900]]
     stage.offer(samples[:700])
@@ -444,7 +443,7 @@ def test_a_load_is_told_and_learnt_when_the_gate_gives_way(monkeypatch):
     stage.learner.change(settings)
     stage.offer(samples[700:])
     contact = np.array([answer.contact for answer in stage.answers])
-    assert contact[300:350].all() and not contact[352:900].any()
+    assert contact[300:450].all() and not contact[452:900].any()
     assert sum('is a change of the robot, and is learnt' in news for news in stage.news) == 1
     left = [np.abs(answer.prediction.model_mean - answer.prediction.sample.outputs).max() for answer in stage.answers]
     assert max(left[850:900]) < 0.5
@@ -453,9 +452,8 @@ def test_a_load_is_told_and_learnt_when_the_gate_gives_way(monkeypatch):
     np.testing.assert_allclose(stage.means, offline(samples, settings)[1], atol=1e-8)
 
 
-def test_a_load_that_is_put_on_while_the_robot_rests_is_followed_once_it_moves(monkeypatch, tmp_path):
+def test_a_load_that_is_put_on_while_the_robot_rests_is_followed_once_it_moves(tmp_path):
     """The gate gave way at rest, of which nothing is learnt: the past counted as before, and the load came slowly."""
-    monkeypatch.setattr('semiparam_ros.core.recursion.KEPT', 5.0)
     settings = replace(SETTINGS, variant='P', gate_enabled=True, gate_timeout=1.0)
     rests, zeros, noise = motion(301)[300], np.zeros(2), np.random.default_rng(3).standard_normal((250, 6))
     at_rest = [rests._replace(stamp=rests.stamp + number * PERIOD_NS, velocity=zeros, acceleration=zeros,

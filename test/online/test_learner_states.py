@@ -383,7 +383,7 @@ LIVES = hypothesis.settings(max_examples=hypothesis.settings.default.max_example
                             stateful_step_count=40, deadline=None,
                             phases=[Phase.explicit, Phase.reuse, Phase.generate],  # not shrinking
                             suppress_health_check=list(hypothesis.HealthCheck))
-PATCHES = {'core.recursion.KEPT': 20.0, 'online.model_jobs.KEPT': 20.0, 'online.renewal.LEAST_DRAFT': 1,
+PATCHES = {'online.renewal.LEAST_DRAFT': 1,
            'online.model_jobs.OLDER': 1}  # a fresh estimator learns all
 for kind in (Lives, EffortLives):
     kind.TestCase.settings = LIVES

@@ -112,16 +112,15 @@ def test_older_motion_does_not_outvote_the_window_nor_delay_its_draft(draft, eve
     """Of what was learnt before it, a fifth is learnt again; of a draft at most so many, however long the life. Of a
     robot that has changed since it is kept apart, to return to: a load was put down, and nothing was left of that."""
     monkeypatch.setattr('semiparam_ros.online.model_jobs.OLDER_OF_DRAFT', 10)
-    monkeypatch.setattr('semiparam_ros.online.model_jobs.KEPT', 50.0)
     pairs = [(sample, Learning.AFTER_CHANGE if changed and number == changed else Learning.YES)
              for number, sample in enumerate(DAY[:330])]
     settings = replace(SLOWER, effects=effects)
     renewed = renew(settings, BODY, batch_of(pairs), DAY[0].stamp, RecentWindow(100, draft=draft))
     expected = new_estimator(settings, BODY, known_of(renewed), DAY[0].stamp)
-    begun, first = expected.ensemble.recursions(), 6 if draft else 5
+    first = 6 if draft else 5
     for number, (sample, _) in enumerate(pairs):
         if number == changed > 0:
-            expected.ensemble.follow_change(begun)
+            expected.follow_change()
         begin, step = (changed, every) if number >= changed else (0, first)
         if number >= 230 or (number - begin) % step == 0:
             expected.observe(expected.predict(sample))
