@@ -155,6 +155,8 @@ class ChangeRecord:
     """A sentence why it could not be named when that was last tried."""
     restored: Effect | None = None
     """What it was by the state that was loaded, its times as stamps."""
+    part_of: int | None = None
+    """The change that it was the end of, or that came again; None: it is one of its own."""
 
     @property
     def effect(self) -> Effect | None:
@@ -170,6 +172,8 @@ class ChangeRecord:
         """Whether it was no change after all: no effect explains it better than none, or it was
         over as soon as a contact is and no load."""
         effect = self.effect
+        if self.part_of is not None:
+            return True
         if effect is None:
             unexplained = self.brief or (self.named is not None and bool(self.change.kind))
             return unexplained and not self.was_applied
@@ -218,6 +222,8 @@ class ChangeRecord:
         decided = f' It was {self.decisions[-1].sentence}.' if self.decisions else ''
         if self.retracted:
             why = 'it was over as soon as a contact is' if self.brief else 'no effect explains it'
+            if self.part_of is not None:
+                why = f'what came or went is change {self.part_of}'
             return f'the robot has not changed {since}{until}: {why}.{decided}'
         if effect is None:
             what = (
@@ -254,6 +260,7 @@ class ChangeRecord:
             'unnamed': self.unnamed or None,
             'decisions': [decision.as_dict() for decision in self.decisions],
             'retracted': self.retracted,
+            'part_of': self.part_of,
             'sentence': self.sentence,
         }
 
@@ -452,12 +459,13 @@ class ChangeWatch:
         beside = None if detector.followed is None else detector.followed.change.number
         self.applied.switch(trial, now)
         decision = Decision(APPLIED if trial.applied else TAKEN_BACK, now, score, share)
-        if beside is not None and beside != trial.number:
-            self._forget_record(beside)
+        stood_out = None if beside in (None, trial.number) else self._forget_record(beside)
         if known is None or came_again:
             detector.number += beside is None
             known = self._record_of(trial, known, detector.number, since, now)
             trial.number = detector.number
+        if stood_out is not None and stood_out.change.number != trial.number:
+            self._told(replace(stood_out, part_of=trial.number))
         trial.reference = detector.reference if trial.applied else trial.reference
         detector.resume(trial.reference)
         record = replace(known, decisions=(*known.decisions, decision))
@@ -483,11 +491,11 @@ class ChangeWatch:
             named = replace(named, effect=replace(named.effect, span=span))
         return ChangeRecord(change._replace(outputs=outputs), named)
 
-    def _forget_record(self, number: int) -> None:
+    def _forget_record(self, number: int) -> ChangeRecord | None:
         """It was no change of its own, but another one that was over, or came again."""
-        self.records.pop(number, None)
         self._name_no_more(number)
         self.applied.drop(number)
+        return self.records.pop(number, None)
 
     def _name_no_more(self, number: int) -> None:
         self._due = [(when, other) for when, other in self._due if other != number]
@@ -656,11 +664,11 @@ class ChangeWatch:
             if doubted or record.change.ended != asked:  # it was over in some of the samples
                 self._ask_again(number, NAMED_AFTER_S[0])
                 return
-            if record.was_applied and _identity(named.effect) != _identity(record.effect):
-                named = record.named  # what predicts is what is told
             if (over := self._ended_by(number, named.effect)) is not None:
                 self._end(over, number)
                 return
+            if record.was_applied and _identity(named.effect) != _identity(record.effect):
+                named = record.named  # what predicts is what is told
             record = replace(record, named=named, times_named=record.times_named + 1, unnamed='')
             self.records[number] = record
             if record.retracted:
@@ -683,6 +691,7 @@ class ChangeWatch:
     def _end(self, number: int, by: int) -> None:
         """A change that was learnt is over since another one began, which is none of its own."""
         ended, record = self.records[by].change.since, self.records[number]
+        self._told(replace(self.records[by], part_of=number))
         self._forget_record(by)
         if self.detector is not None and self._followed is not None and self._followed.change.number == by:
             self.detector.reset()
