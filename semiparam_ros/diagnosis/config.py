@@ -168,7 +168,7 @@ class DiagnosisConfig:
     odds: float = 1e5
     """Takes a kind of effect for so unlikely that odds of it before the recording are one to this (chosen)."""
     tried: int = 8
-    """Scores so many of the candidates of a round, the most credible first (chosen)."""
+    """Scores so many of the candidates of a round, the most credible first, and the foremost of each kind (chosen)."""
     of_each_kind: int = 3
     """Refines so many places of each kind with many values: with none a cable that slips was passed over, with one it
     came after another kind (measured)."""

@@ -12,6 +12,7 @@ from scipy.stats import multivariate_normal
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.diagnosis.config import DEFAULTS
 from semiparam_ros.diagnosis.regression import fit_model
+from semiparam_ros.diagnosis.search import moves
 from semiparam_ros.diagnosis.search.plausibility import price
 from semiparam_ros.diagnosis.search.refit import declare
 from semiparam_ros.diagnosis.search.revision import pruned
@@ -175,3 +176,16 @@ def test_the_foremost_of_each_kind_with_many_values_are_refined():
     assert chosen == [*plain[:DEFAULTS.tried], *many[:DEFAULTS.of_each_kind]]
     unlikely = [replace(trial, evidence=1.0) for trial in many]
     assert worth_refining(SimpleNamespace(config=DEFAULTS), [*plain, *unlikely]) == plain[:DEFAULTS.tried]
+
+
+def test_no_kind_is_shut_out_of_the_score_by_places_of_another_one(monkeypatch):
+    """Crosstalk of a measured iCub stood tenth behind three cables, and three other effects were told in its place."""
+    monkeypatch.setattr(moves, '_at_each_time', lambda fit, effect: [effect])
+    monkeypatch.setattr(moves, 'declare', lambda fit, effects: effects)
+    monkeypatch.setattr(moves, '_plausible_moves', lambda fit, after, added, kinds: after)
+    cables = [Trial(kinds('wrench')['cable_spring'](str(number)), 9, np.zeros(0), evidence=100.0 - number)
+              for number in range(DEFAULTS.tried + 2)]
+    crosstalk = Trial(kinds('wrench')['sensor_crosstalk'](), 30, np.zeros(0), evidence=80.0)
+    hopeless = Trial(kinds('wrench')['sensor_gain'](), 6, np.zeros(0), evidence=-1.0)
+    tried = moves.single_moves(SimpleNamespace(config=DEFAULTS), [*cables, crosstalk, hopeless], {})
+    assert tried == [trial.effect for trial in (*cables[:DEFAULTS.tried], crosstalk)]

@@ -47,8 +47,13 @@ def _plausible_moves(fit: Fit, after: Fit, added: Sequence[Effect], kinds: Colle
 
 
 def single_moves(fit: Fit, ranking: Sequence[Trial], kinds: Collection[str]) -> list[Move]:
-    """Each of the foremost trials by itself, with each of its times."""
-    foremost = [trial.effect for trial in ranking[:fit.config.tried] if trial.evidence > 0.0]
+    """Each of the foremost trials by itself, and the foremost of each kind, with each of its times.
+
+    The ranking fears many values more than the score does: several places of one kind shut out a better one.
+    """
+    of_kind = {trial.effect.kind: trial for trial in reversed(ranking)}
+    foremost = [trial.effect for number, trial in enumerate(ranking) if trial.evidence > 0.0
+                and (number < fit.config.tried or trial is of_kind[trial.effect.kind])]
     return [move for effect in foremost for timed in _at_each_time(fit, effect)
             for move in _plausible_moves(fit, declare(fit, [timed]), [timed], kinds)]
 
