@@ -688,6 +688,16 @@ class ChangeWatch:
                 return other
         return None
 
+    def returned(self) -> None:
+        """The model is again the one from before the last change that it learnt: what was just told is its end."""
+        followed = self._followed
+        if followed is None:
+            return
+        there = [number for number, record in self.records.items() if self._past < number < followed.change.number
+                 and record.change.ended is None and not record.retracted and not record.was_applied]
+        if there:
+            self._end(max(there), followed.change.number)
+
     def _end(self, number: int, by: int) -> None:
         """A change that was learnt is over since another one began, which is none of its own."""
         ended, record = self.records[by].change.since, self.records[number]

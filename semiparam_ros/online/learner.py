@@ -262,6 +262,7 @@ class Learner:
         self.passed_over += passed
         self.learnt -= passed
         if self.estimator.returns > returns:
+            self.changes.returned()
             self._listener.announce(
                 'the robot is again as it was before its last change: what was learnt then goes on.')
         if errors is not None:

@@ -64,6 +64,8 @@ def test_with_report_the_model_follows_a_load_at_once_and_returns(variant):
     (record,) = stage.learner.changes.records.values()
     assert record.effect is not None and record.effect.kind == 'payload' and not record.retracted
     assert abs(record.change.ended - samples.origin - LOADED_S[1] * 1e9) < 5e8
+    over = next(each for each in stage.changes if each.change.ended is not None)
+    assert over.change.noticed - samples.origin < (LOADED_S[1] + 3.0) * 1e9, 'as soon as the model returns'
     last = {each.change.number: each for each in stage.changes}
     assert [(number, each.retracted) for number, each in last.items()] == [(1, False), (2, True)]
     assert last[2].sentence.endswith(': what came or went is change 1.')
