@@ -693,7 +693,7 @@ class ChangeWatch:
         followed = self._followed
         if followed is None:
             return
-        there = [number for number, record in self.records.items() if self._past < number < followed.change.number
+        there = [number for number, record in self.records.items() if number < followed.change.number
                  and record.change.ended is None and not record.retracted and not record.was_applied]
         if there:
             self._end(max(there), followed.change.number)
