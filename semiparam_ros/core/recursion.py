@@ -187,7 +187,7 @@ class SemiParametricRecursion:
         Else by as much as the prior expects of any robot: theta and the weights stay what they are,
         with the prior's covariance, and what was known is kept :attr:`before`.
         """
-        now, then, _ = self._compared[1]
+        now, then, _ = self._compared[1].tolist()
         if then < BACK * now and self._return():
             return True
         self.before, self._compared = None, np.zeros((2, 3))
@@ -209,7 +209,7 @@ class SemiParametricRecursion:
         charged = [float(((left / self.scale) ** 2).sum()) for left in (now, then)] + [1.0]
         kept = np.exp(-seconds / np.array([[COMPARED_S], [LATEST_S]]))
         self._compared = kept * self._compared + seconds * np.array(charged)
-        (now_left, then_left, seen), _ = self._compared
+        (now_left, then_left, seen), _ = self._compared.tolist()
         return seen >= LEAST_COMPARED_S and then_left < BACK * now_left and self._return()
 
     def _return(self) -> bool:

@@ -689,14 +689,18 @@ class ChangeWatch:
         return None
 
     def returned(self) -> None:
-        """The model is again the one from before the last change that it learnt: what was just told is its end."""
+        """The model has changed places with the one from before the last change that it learnt.
+
+        Where that one was there yet, what was just told is its end; else it came again.
+        """
         followed = self._followed
         if followed is None:
             return
-        there = [number for number, record in self.records.items() if number < followed.change.number
-                 and record.change.ended is None and not record.retracted and not record.was_applied]
-        if there:
-            self._end(max(there), followed.change.number)
+        learnt = [record.change for number, record in self.records.items() if number < followed.change.number
+                  and not record.retracted and not record.was_applied]
+        last = max(learnt, default=None, key=lambda change: change.number)
+        if last is not None and last.ended is None:
+            self._end(last.number, followed.change.number)
 
     def _end(self, number: int, by: int) -> None:
         """A change that was learnt is over since another one began, which is none of its own."""

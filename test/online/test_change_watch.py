@@ -10,7 +10,8 @@ from semiparam_ros.effects.loads import Payload
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.experiments.evaluation import OfflineLearner
 from semiparam_ros.online import change_watch
-from semiparam_ros.online.change_watch import APPLIED, ASSUMED, TAKEN_BACK, TRIED, Decision
+from semiparam_ros.online.change_watch import APPLIED, ASSUMED, TAKEN_BACK, TRIED, ChangeRecord, Decision
+from semiparam_ros.online.changes import Change
 from semiparam_ros.online.diagnosis_jobs import name_change as name_in_background
 from support.changing_arm import (
     LOADED_S,
@@ -69,6 +70,32 @@ def test_with_report_the_model_follows_a_load_at_once_and_returns(variant):
     last = {each.change.number: each for each in stage.changes}
     assert [(number, each.retracted) for number, each in last.items()] == [(1, False), (2, True)]
     assert last[2].sentence.endswith(': what came or went is change 1.')
+
+
+def test_a_load_that_comes_again_ends_no_earlier_change():
+    """The model with it returned, and a cable that still held the arm was told as over."""
+    (body, samples, _), (_, later, _) = loaded(), loaded((112.0, 130.0))
+    outputs = np.where((samples.time < 112.0)[:, None], samples.outputs, later.outputs)
+    stage = offered(body, replace(samples, outputs=outputs)[samples.time < 60.0])
+    watch = stage.learner.changes
+    watch.records[0] = ChangeRecord(Change(0, samples.origin, samples.origin, '', None, np.nan, np.nan, 20.0, ('fx',)))
+    stage.offer(replace(samples, outputs=outputs)[(samples.time >= 60.0) & (samples.time < 125.0)])
+    assert sum('again as it was before' in news for news in stage.news) == 2, 'put down, and picked up again'
+    assert watch.records[0].change.ended is None
+    first, again = (watch.records[number] for number in sorted(watch.records)[1:])
+    assert first.change.ended is not None and again.change.ended is None
+    assert again.effect is not None and again.effect.kind == 'payload'
+
+
+def test_the_end_of_a_load_is_told_as_that_though_the_sensor_has_changed_since():
+    """The model of before the last change has the load yet; the end of it was one more change, and the load was none."""
+    body, samples, _ = loaded()
+    jump = 0.5 * samples.outputs.std(axis=0) * (samples.time >= 85.0)[:, None]
+    stage = offered(body, replace(samples, outputs=samples.outputs + jump))
+    load, offset = stage.learner.changes.records.values()
+    assert load.effect.kind == 'payload' and not load.retracted
+    assert abs(load.change.ended - samples.origin - LOADED_S[1] * 1e9) < 5e8
+    assert offset.effect.kind == 'sensor_offset' and offset.change.ended is None
 
 
 @pytest.mark.parametrize('seed', [4, 6])
