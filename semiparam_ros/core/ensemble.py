@@ -164,7 +164,7 @@ class Ensemble:
         if not keep:
             self._marks.clear()
         elif not self._marks or not 0 <= stamp - self._marks[-1][0] < MARK_NS:
-            self._marks.append((stamp, self.recursions()))
+            self._marks.append((stamp, [each.model.recursion.state() for each in self.models]))
 
     def go_back(self) -> None:
         """Take back what was learnt since the oldest mark."""
@@ -172,10 +172,6 @@ class Ensemble:
             for each, state in zip(self.models, self._marks[0][1], strict=True):
                 each.model.recursion.restore(state)
             self.clear_horizons()
-
-    def recursions(self) -> list[dict[str, Array | Indices]]:
-        """A copy of what the recursion of each model has learnt."""
-        return [each.model.recursion.state() for each in self.models]
 
     def follow_change(self) -> int:
         """The robot has changed: see
