@@ -272,7 +272,7 @@ def carry(args: argparse.Namespace) -> None:
     scores: dict[str, VariantScores] = {}
     records: dict[int, ChangeRecord] = {}
     with progress_bar() as progress:
-        for auto, label in (('report', 'learnt'), ('apply', 'applied')):
+        for auto, label in (('off', 'learnt'), ('apply', 'applied')):
             records = {}
             chosen = replace(settings, diagnosis_auto=auto)
             scores[label] = evaluate(chosen, [], [bag], False, progress, changes=records)
