@@ -88,7 +88,7 @@ def test_a_load_that_comes_again_ends_no_earlier_change():
 
 
 def test_the_end_of_a_load_is_told_as_that_though_the_sensor_has_changed_since():
-    """The model of before the last change has the load yet; the end of it was one more change, and the load was none."""
+    """The model from before the last change has the load yet; its end was one more change, and the load was none."""
     body, samples, _ = loaded()
     jump = 0.5 * samples.outputs.std(axis=0) * (samples.time >= 85.0)[:, None]
     stage = offered(body, replace(samples, outputs=samples.outputs + jump))
