@@ -200,6 +200,21 @@ def test_a_description_that_is_tilted_by_less_than_a_right_angle_is_no_base_on_i
     assert 'gravity along its -z axis' in found[0].sentence
 
 
+@pytest.mark.parametrize('mass', [1.0, 3.0])
+@pytest.mark.parametrize('outputs', ['effort', 'wrench'])
+def test_a_load_that_slow_motion_shows_most_is_no_other_robot(outputs, mass):
+    """It is most of what the outputs do from half time on; no inertias explain both halves. No effect was sought."""
+    body, samples = simulated(outputs)
+    middle, rng = samples.position.mean(axis=0), np.random.default_rng(0)
+    slow = replace(samples, position=middle + 0.15 * (samples.position - middle), velocity=0.15 * samples.velocity,
+                   acceleration=0.15 * samples.acceleration)
+    inertia = mass * np.array([1.0, 0.05, 0.02, 0.1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    late = np.arange(len(slow))[:, None] >= 0.5 * len(slow)
+    load = late * (body.full_regressors(slow)[:, :, -10:] @ inertia)
+    noise = 0.01 * rng.standard_normal(load.shape)
+    assert whats(body, replace(slow, outputs=body.outputs_of(slow, body.base_parameters) + load + noise)) == []
+
+
 @pytest.mark.parametrize('size', [1e-6, 1e-4, 1e-2])
 def test_a_velocity_that_is_hardly_more_than_noise_is_missing(size):
     body, samples = simulated('effort')

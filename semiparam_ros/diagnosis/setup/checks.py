@@ -397,8 +397,16 @@ def layout_problems(body: RigidBody, samples: Samples, config: DiagnosisConfig) 
             break
         found.append(best.problem)
         body, samples = best.body or body, best.samples
-    left = share_left(equations(body, samples, config), samples.outputs)
+    left = _share_left(body, samples, config)
     return [_no_match(body, left)] if left > config.no_match_share else found
+
+
+def _share_left(body: RigidBody, samples: Samples, config: DiagnosisConfig) -> float:
+    """Share of the variance that the best inertias leave of the half that they explain better: what changes once, or a
+    push, leaves the other half as it is."""
+    middle = len(samples) // 2
+    return min(share_left(equations(body, half, config), half.outputs)
+               for half in (samples[:middle], samples[middle:]))
 
 
 def _no_match(body: RigidBody, left: float) -> SetupProblem:
@@ -418,18 +426,22 @@ class Alternative(NamedTuple):
 
 
 def _best_alternative(body: RigidBody, samples: Samples, config: DiagnosisConfig) -> Alternative | None:
-    """The likeliest alternative, where the recording is far likelier with it than as declared."""
+    """The likeliest alternative, where the recording is far likelier with it than as declared. Odds are against a kind
+    of mistake, so against each of its places as many times more.
+    """
     equal = equations(body, samples, config)
+    alternatives = list(_alternatives(body, samples, config))
 
     def of(alternative: Alternative) -> tuple[Equations, Array]:
         same = alternative.samples.position is samples.position and alternative.body is None
         return (equal if same else equations(alternative.body or body, alternative.samples, config),
                 alternative.samples.outputs)
 
-    best = max(_alternatives(body, samples, config), key=lambda alternative: evidence(*of(alternative)).log)
+    best = max(alternatives, key=lambda alternative: evidence(*of(alternative)).log)
     share = independent(*of(best), evidence(*of(best)).change)
     gain = evidence(*of(best), share).log - evidence(equal, samples.outputs, share).log
-    return best if gain > math.log(config.odds) else None
+    places = sum(alternative.problem.what == best.problem.what for alternative in alternatives)
+    return best if gain > math.log(config.odds * places) else None
 
 
 def _alternatives(body: RigidBody, samples: Samples, config: DiagnosisConfig) -> Iterator[Alternative]:

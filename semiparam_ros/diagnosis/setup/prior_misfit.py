@@ -100,9 +100,12 @@ def evidence(equal: Equations, outputs: Array, share: float = 1.0) -> MisfitEvid
 
 
 def share_left(equal: Equations, outputs: Array) -> float:
-    """Share of the variance of outputs (N, n) that the likeliest inertias and nuisances leave, mean of the channels."""
-    left = outputs - equal.columns @ (equal.mean + evidence(equal, outputs).change)
+    """Share of the variance of outputs (N, n) that the likeliest inertias and nuisances leave, mean of the channels
+    that vary; all of it where none does."""
     telling = np.ptp(outputs, axis=0) > 0.0
+    if not telling.any():
+        return 1.0
+    left = outputs - equal.columns @ (equal.mean + evidence(equal, outputs).change)
     return float(np.mean((left / channel_scale(outputs, not len(equal.power)))[:, telling] ** 2))
 
 
