@@ -178,7 +178,7 @@ class Ensemble:
         :meth:`~semiparam_ros.core.recursion.SemiParametricRecursion.follow_change`; how many models are
         as before."""
         self.carried.interrupt()
-        returns = sum([each.model.recursion.follow_change() for each in self.models])
+        returns = sum([each.follow_change() for each in self.models])
         if returns:
             self.clear_horizons()
         return returns

@@ -192,7 +192,17 @@ class OnlineModel:
         prior = prediction.prior
         then = self.model.predict_by(recursion.before, prior.phi, prediction.columns).mean
         seconds = min(max(since, 0), LONGEST_COMPARED_NS) / NANOSECONDS
-        return recursion.compare(seconds, sample.outputs - prior.mean, sample.outputs - then)
+        return self._returned(recursion.compare(seconds, sample.outputs - prior.mean, sample.outputs - then))
+
+    def follow_change(self) -> bool:
+        """See :meth:`~semiparam_ros.core.recursion.SemiParametricRecursion.follow_change`."""
+        return self._returned(self.model.recursion.follow_change())
+
+    def _returned(self, is_as_before: bool) -> bool:
+        """Forget the offset that followed the other model's errors."""
+        if is_as_before and self.wandering is not None:
+            self.wandering.forget()
+        return is_as_before
 
     def state(self) -> ModelState:
         """Copies of everything that samples have changed; :meth:`restore` takes them back bit for

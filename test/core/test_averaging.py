@@ -252,4 +252,6 @@ def test_members_return_from_a_change_with_their_horizons_and_a_state_holds_what
     assert returns[0] == 0 and (model.returns > 1 or model.options.variant != AVERAGED)
     for place in np.flatnonzero(np.diff(returns)) + 1:
         assert all(step.horizon is None for step in steps[place + 1:place + 5]), 'none is pending'
+    offset = np.abs(steps[place + 1].mean - steps[place + 1].model_mean)
+    assert (offset < 0.1 * load).all(), 'what followed the errors of the other model is forgotten'
     assert (error(steps[COUNT // 2:]) < 0.3 * load**2).all() and steps[-1].horizon is not None
