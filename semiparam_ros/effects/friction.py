@@ -27,7 +27,8 @@ from semiparam_ros.effects.base import (
 from semiparam_ros.effects.hysteresis import Way, bristle, sticking_bristle
 
 SPEED_SHARES = (0.003, 0.01, 0.03, 0.1)
-PRESLIDING_SHARES = (0.0005, 0.002, 0.008)
+PRESLIDING_SHARES, MOST_PRESLIDING = (0.0005, 0.002, 0.008), 0.032
+"""Of the joint's reach. A bristle that bends over more of it is no friction, but may seem to be a spring's."""
 DRIVING_SHARE = 0.05
 """Share of a friction's coefficients that one of them may be below zero by chance."""
 LONGEST_LEAD_S = 0.05
@@ -120,7 +121,11 @@ class _Sliding(JointEffect):
                 *({'presliding': reach * share} for share in PRESLIDING_SHARES)]
 
     def bounds(self, name: str, body: RigidBody, samples: Samples, residual: Array) -> tuple[float, float]:
-        return (-LONGEST_LEAD_S, LONGEST_LEAD_S) if name == 'lead_s' else super().bounds(name, body, samples, residual)
+        if name == 'lead_s':
+            return -LONGEST_LEAD_S, LONGEST_LEAD_S
+        low, high = super().bounds(name, body, samples, residual)
+        most = MOST_PRESLIDING * float(np.ptp(samples.position[:, joint_index(body, self.where)]))
+        return (min(low, most), min(high, most)) if name == 'presliding' else (low, high)
 
     def finer(self: Self) -> Self:
         """The same friction, free to turn over a little before or after the recorded velocity."""

@@ -24,7 +24,7 @@ from semiparam_ros.diagnosis.search.candidates import added_columns
 from semiparam_ros.effects import Effect, effect_from_text, effect_to_text, effects_to_parameters, kinds, registry
 from semiparam_ros.effects.application_point import AtPoint
 from semiparam_ros.effects.base import CHANNELS, Coefficient, Span
-from semiparam_ros.effects.friction import JointEffect
+from semiparam_ros.effects.friction import MOST_PRESLIDING, JointEffect
 from semiparam_ros.effects.geometry import BaseShift, GravityTilt, JointOffset, ZeroSlip
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.experiments.scoreboard import body_of, samples_of
@@ -276,6 +276,9 @@ def test_each_kind_bounds_its_own_line_search():
     assert bounds('thermal_drift{"time_constant_s": 10}', 'time_constant_s') == (4.0, 25.0)
     assert bounds('external_force@r_hand{"x": -1}', 'x') == (-2.5, -0.4)
     assert bounds('external_force@r_hand{"x": 0}', 'x') == (0.0, 0.0)
+    for presliding in (0.01, 0.03, 1.0):
+        low, high = bounds(f'coulomb_friction@r_elbow{{"presliding": {presliding * reach}}}', 'presliding')
+        assert low <= high == pytest.approx(min(2.5 * presliding, MOST_PRESLIDING) * reach)
 
 
 def test_a_load_moves_to_the_link_nearest_to_its_centre():
