@@ -100,7 +100,8 @@ def test_a_subscriber_that_takes_nothing_ends_a_lossless_playback_with_a_sentenc
         peer.answer('/wrench', WRENCH)
         idle.executor.remove_node(idle.node)
         idle.listen('/joint_states', STATES)
-        tool = replayed(tmp_path, bag, '--as-fast-as-followed', '--answer-timeout', 1, code=1)
+        tool = replayed(tmp_path, bag, '--as-fast-as-followed', '--answer-timeout', 1, '--wait-for-subscribers', 2,
+                        code=1)
     assert tool.said('failed: /joint_states cannot be published: a reliable subscriber has taken nothing for 1 s')
 
 
