@@ -129,7 +129,7 @@ class Peer(ServedNode):
 
     def __init__(self, name='peer', domain=None):
         super().__init__(name, domain)
-        self.heard, self.changed = {}, threading.Condition()
+        self.heard, self.clients, self.changed = {}, {}, threading.Condition()
 
     def listen(self, topic, type_name, qos=EVERYTHING, raw=False):
         heard = self.heard.setdefault(topic, [])
@@ -172,8 +172,11 @@ class Peer(ServedNode):
         meet(self.node, other, self.wait_for)
 
     def call(self, kind, service, request=None):
-        """The response of one service call."""
-        client = self.node.create_client(kind, service)
+        """The response of one service call. One that is sent before the client's reader is known is lost."""
+        if service not in self.clients:
+            self.clients[service] = self.node.create_client(kind, service)
+            self.meet(service.rpartition('/')[0])
+        client = self.clients[service]
         assert client.wait_for_service(PATIENCE_S), service
         future = client.call_async(request or kind.Request())
         self.wait_for(future.done, service)
