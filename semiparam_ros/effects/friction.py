@@ -98,6 +98,11 @@ class JointEffect(Effect):
         return on_joint(body, self.where, self.functions(*motion)), None
 
 
+def _reach(samples: Samples, joint: int) -> float:
+    """Reach [rad or m] of a joint's motion."""
+    return max(float(np.ptp(samples.position[:, joint])), 1e-6)
+
+
 class _Sliding(JointEffect):
     """Friction by the direction of sliding, which turns over within ``turn_speed`` or a way of
     ``presliding``.
@@ -116,15 +121,14 @@ class _Sliding(JointEffect):
     def searches(cls, body: RigidBody, samples: Samples, where: str | None, residual: Array) -> Sequence[Values]:
         joint = joint_index(body, where)
         fastest = max(float(np.abs(samples.velocity[:, joint]).max()), 1e-6)
-        reach = max(float(np.ptp(samples.position[:, joint])), 1e-6)
         return [*({'turn_speed': fastest * share} for share in SPEED_SHARES),
-                *({'presliding': reach * share} for share in PRESLIDING_SHARES)]
+                *({'presliding': _reach(samples, joint) * share} for share in PRESLIDING_SHARES)]
 
     def bounds(self, name: str, body: RigidBody, samples: Samples, residual: Array) -> tuple[float, float]:
         if name == 'lead_s':
             return -LONGEST_LEAD_S, LONGEST_LEAD_S
         low, high = super().bounds(name, body, samples, residual)
-        most = MOST_PRESLIDING * float(np.ptp(samples.position[:, joint_index(body, self.where)]))
+        most = MOST_PRESLIDING * _reach(samples, joint_index(body, self.where))
         return (min(low, most), min(high, most)) if name == 'presliding' else (low, high)
 
     def finer(self: Self) -> Self:

@@ -279,6 +279,9 @@ def test_each_kind_bounds_its_own_line_search():
     for presliding in (0.01, 0.03, 1.0):
         low, high = bounds(f'coulomb_friction@r_elbow{{"presliding": {presliding * reach}}}', 'presliding')
         assert low <= high == pytest.approx(min(2.5 * presliding, MOST_PRESLIDING) * reach)
+    still = replace(MOTION, position=np.zeros_like(MOTION.position))
+    bristle = effect_from_text('coulomb_friction@r_elbow{"presliding": 0.1}')
+    assert min(bristle.bounds('presliding', BODIES['wrench'], still, residual)) > 0.0, 'nothing divides by zero'
 
 
 def test_a_load_moves_to_the_link_nearest_to_its_centre():
