@@ -17,11 +17,13 @@ from semiparam_ros.core.columns import CoupledColumns
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.signals.differentiation import CausalDifferentiator
+from semiparam_ros.diagnosis.config import DEFAULTS
 from semiparam_ros.diagnosis.data.outliers import excluded, working_factor
 from semiparam_ros.diagnosis.diagnose import diagnose
 from semiparam_ros.diagnosis.preparation import BUT_ACCELERATIONS, Inputs, bursts, late, measured_lags
-from semiparam_ros.diagnosis.setup.checks import setup_problems
+from semiparam_ros.diagnosis.setup.checks import layout_problems, setup_problems
 from semiparam_ros.diagnosis.setup.identifiability import unidentifiable
+from semiparam_ros.diagnosis.setup.prior_misfit import equations, evidence, independent
 from semiparam_ros.effects import effect_from_text
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.simulation.scenario import EffectRequest, Scenario
@@ -198,6 +200,20 @@ def test_a_description_that_is_tilted_by_less_than_a_right_angle_is_no_base_on_i
     found = setup_problems(body.with_gravity(9.81 * np.array([np.sin(tilt), 0.0, -np.cos(tilt)])), samples)
     assert [each.what for each in found] == ['base_mounting']
     assert 'gravity along its -z axis' in found[0].sentence
+
+
+def test_odds_against_a_kind_of_mistake_are_spread_over_its_places():
+    """A direction of a UR10's wrist was told as wrong with 13 nat, which one of six joints gains by chance."""
+    body, right = simulated('effort')
+    right = right[::20]
+    wrong = replace(right, outputs=right.outputs * np.where(np.arange(body.n_outputs) == 1, -1.0, 1.0))
+    equal = equations(body, right, DEFAULTS)
+    share = independent(equal, right.outputs, evidence(equal, right.outputs).change)
+    gain = evidence(equal, right.outputs, share).log - evidence(equal, wrong.outputs, share).log
+    places = 1 + body.n_outputs  # all signs, or one
+    for nats, told in ((-0.1, ['effort_sign']), (0.1, [])):
+        config = replace(DEFAULTS, odds=np.exp(gain + nats) / places, no_match_share=1.0)
+        assert [problem.what for problem in layout_problems(body, wrong, config)][:1] == told
 
 
 @pytest.mark.parametrize('mass', [1.0, 3.0])
