@@ -226,20 +226,27 @@ class Client(ServedNode):
 
     def report(self, title):
         """(level, message, values) of the node's latest report; others report on the same topic."""
+        self.wait(lambda: self._reports(title), f'report {title}')
+        return self._reports(title)[-1]
+
+    def wait_report(self, title, condition, timeout_s=PATIENCE_S, heard=False):
+        """The first report that fulfils a condition, from now on or, if ``heard``, since the last :meth:`forget`.
+
+        A report that holds for a second may be followed by another one before this looks again.
+        """
+        if not heard:
+            self.heard['/diagnostics'].clear()
+        found = []
+        self.wait(lambda: found.extend(each for each in self._reports(title) if condition(*each)) or found,
+                  f'report {title}', timeout_s)
+        return found[0]
+
+    def _reports(self, title):
+        """The node's latest reports, in order."""
         name = f'{self.node.get_namespace()}/{self.target}: {title}'.lstrip('/')
-
-        def found():
-            return next((status for heard in reversed(self.heard['/diagnostics'][-RECENT:]) for status in heard.status
-                         if status.name == name), None)
-        self.wait(found, f'report {name}')
-        status = found()
-        return status.level, status.message, {entry.key: entry.value for entry in status.values}
-
-    def wait_report(self, title, condition, timeout_s=PATIENCE_S):
-        """The first report from now on that fulfils a condition."""
-        self.heard['/diagnostics'].clear()
-        self.wait(lambda: condition(*self.report(title)), f'report {title}', timeout_s)
-        return self.report(title)
+        return [(status.level, status.message, {entry.key: entry.value for entry in status.values})
+                for heard in list(self.heard['/diagnostics'])[-RECENT:] for status in heard.status
+                if status.name == name]
 
 
 class Gaps:
