@@ -129,7 +129,7 @@ class _Sliding(JointEffect):
             return -LONGEST_LEAD_S, LONGEST_LEAD_S
         low, high = super().bounds(name, body, samples, residual)
         most = MOST_PRESLIDING * _reach(samples, joint_index(body, self.where))
-        return (min(low, most), min(high, most)) if name == 'presliding' else (low, high)
+        return (min(low, most), min(high, most)) if name in ('presliding', 'presliding_stuck') else (low, high)
 
     def finer(self: Self) -> Self:
         """The same friction, free to turn over a little before or after the recorded velocity."""

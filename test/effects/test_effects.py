@@ -277,8 +277,11 @@ def test_each_kind_bounds_its_own_line_search():
     assert bounds('external_force@r_hand{"x": -1}', 'x') == (-2.5, -0.4)
     assert bounds('external_force@r_hand{"x": 0}', 'x') == (0.0, 0.0)
     for presliding in (0.01, 0.03, 1.0):
-        low, high = bounds(f'coulomb_friction@r_elbow{{"presliding": {presliding * reach}}}', 'presliding')
-        assert low <= high == pytest.approx(min(2.5 * presliding, MOST_PRESLIDING) * reach)
+        value = presliding * reach
+        for text, name in ((f'coulomb_friction@r_elbow{{"presliding": {value}}}', 'presliding'),
+                           (f'stribeck_friction@r_elbow{{"presliding_stuck": {value}}}', 'presliding_stuck')):
+            low, high = bounds(text, name)
+            assert low <= high == pytest.approx(min(2.5 * presliding, MOST_PRESLIDING) * reach)
     still = replace(MOTION, position=np.zeros_like(MOTION.position))
     bristle = effect_from_text('coulomb_friction@r_elbow{"presliding": 0.1}')
     assert min(bristle.bounds('presliding', BODIES['wrench'], still, residual)) > 0.0, 'nothing divides by zero'
