@@ -222,7 +222,8 @@ def evaluate(settings: Settings, training: Sequence[LoadedBag], bags: Sequence[L
     if not len(scores):
         moved = sum(int(moving(bag.samples).sum()) for bag in [*training, *bags])
         raise SemiparamError(f'the robot moves in {moved} of {total} samples, which are too few: the initial window '
-                             f'alone takes {settings.initial_samples} of motion (parameter initial.samples).')
+                             f'alone takes {settings.initial_samples} of motion, one of each 4 ms (parameter '
+                             'initial.samples).')
     return scores
 
 

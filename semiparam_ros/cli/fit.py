@@ -72,9 +72,8 @@ def run(args: argparse.Namespace) -> int:
     gathered = gathered_from(bag.samples, settings.initial_samples)
     window = bag.samples[gathered.indices]
     if not gathered.full:
-        options.console.print(f'{args.bag} holds {len(window)} samples of a robot that moves, fewer '
-                              f'than initial.samples ({settings.initial_samples}): all of them are '
-                              'used.')
+        options.console.print(f'{args.bag} holds {len(window)} samples of a robot that moves, one of each 4 ms, '
+                              f'fewer than initial.samples ({settings.initial_samples}): all of them are used.')
     with options.progress_bar() as bar:
         task = bar.add_task(settings.variant, total=None)
         fitted, found = fitted_settings(settings, window, bag.robot_description, estimation,

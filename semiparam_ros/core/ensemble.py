@@ -93,7 +93,8 @@ class Ensemble:
             off = bool(np.abs(observed.measured).max() < OFF_SHARE * np.abs(expected).max())
             motion = motion._replace(is_news=motion.is_news and not off)
         return Prediction(mean, std, model_mean, model_std, self.first.ready, observed.sample, covariance,
-                          observed.columns, observed.memory, motion, observed.beyond, members, off)
+                          observed.columns, observed.memory, motion, observed.beyond, observed.begins_step,
+                          members, off)
 
     def _columns_of_each(self, observed: Observed) -> list[Array]:
         """The columns (n, p) of each model; those of the first are known."""

@@ -20,7 +20,7 @@ from semiparam_ros.core.ensemble import Ensemble
 from semiparam_ros.core.finite import require_finite
 from semiparam_ros.core.horizon_error import HorizonErrors
 from semiparam_ros.core.hyperparameters.estimation import Hyperparameters
-from semiparam_ros.core.initial_window import InitialWindow
+from semiparam_ros.core.initial_window import InitialWindow, begins_step
 from semiparam_ros.core.input_range import beyond, widened
 from semiparam_ros.core.learnt_inputs import LearntInputs
 from semiparam_ros.core.model import (
@@ -166,7 +166,7 @@ class Estimator:
         position = x[:self.body.n_joints]
         motion = self.motion.after(sample.stamp, position, measured) if self.motion else \
             at_start(sample.stamp, position, measured)
-        return Observed(sample, x, columns, memory, motion, outside, measured)
+        return Observed(sample, x, columns, memory, motion, outside, begins_step(sample.stamp, self._newest), measured)
 
     def holds(self, effect: ColumnBlock) -> bool:
         """Tell whether an effect acts at the newest sample, by its start and its end."""
@@ -216,7 +216,7 @@ class Estimator:
                 self.ensemble.charge_left_out(prediction)
             self.ensemble.mark(sample.stamp, self.marks)
         self.returns += self.ensemble.compare(prediction)
-        if learn and not self.ready and not self.window.full:
+        if learn and prediction.begins_step and not self.ready and not self.window.full:
             self.window.append(sample, prediction.columns)
         if finish and self.window_full:
             self.finish_window()

@@ -9,7 +9,22 @@ import numpy as np
 
 from semiparam_ros.core.motion import Motion, at_start
 from semiparam_ros.core.samples import Sample, Samples
-from semiparam_ros.core.types import Array, Stamps
+from semiparam_ros.core.types import Array, Mask, Stamps
+
+STEP_NS = 4_000_000
+"""Of the samples of one step [ns] a window takes the first: those of faster robots are nearly alike, and a thousand of
+them would be a moment of one motion."""
+
+
+def begins_step(stamp: int, before: int | None) -> bool:
+    """Tell whether a sample is the first of its step, by its stamp and that of the sample before it [ns]."""
+    return before is None or stamp // STEP_NS != before // STEP_NS
+
+
+def beginning_steps(stamps: Stamps) -> Mask:
+    """(N,) the same of samples in order."""
+    steps = stamps // STEP_NS
+    return np.concatenate([np.ones(min(len(steps), 1), dtype=bool), np.diff(steps) != 0])
 
 
 class Remembered(NamedTuple):
@@ -101,9 +116,10 @@ def gathered_from(samples: Samples, wanted: int) -> Gathered:
     """The initial window of a recording that is learnt from its first sample on."""
     taken: list[int] = []
     motion: Motion | None = None
-    for index, row in enumerate(zip(samples.stamps.tolist(), samples.position, samples.outputs, strict=True)):
+    rows = zip(samples.stamps.tolist(), samples.position, samples.outputs, strict=True)
+    for index, (begins, row) in enumerate(zip(beginning_steps(samples.stamps).tolist(), rows, strict=True)):
         motion = at_start(*row) if motion is None else motion.after(*row)
-        if motion.is_news:
+        if motion.is_news and begins:
             taken.append(index)
         if len(taken) == wanted:
             return Gathered(np.array(taken), index + 1, True)

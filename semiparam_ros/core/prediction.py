@@ -26,6 +26,7 @@ class Observed(NamedTuple):
     memory: Memories
     motion: Motion
     beyond: float
+    begins_step: bool
     measured: Array  # (n,) the outputs, with what tools and other known bodies add
 
 
@@ -58,6 +59,8 @@ class Prediction(NamedTuple):
     motion: Motion
     beyond: float
     """How far the inputs lie outside of those learnt, see :func:`~semiparam_ros.core.input_range.beyond`."""
+    begins_step: bool = True
+    """Whether a window may take it, see :func:`~semiparam_ros.core.initial_window.begins_step`."""
     members: tuple[MemberPrediction, ...] = ()
     """By each of the models."""
     off: bool = False

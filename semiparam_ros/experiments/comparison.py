@@ -89,7 +89,7 @@ def scenario_from(settings: Settings, train: LoadedBag, test: LoadedBag, *, subs
     if gathered_from(learnt, settings.initial_samples).end >= len(learnt):
         raise SemiparamError(f'the first recording has {len(learnt)} samples to learn from; expected more than the '
                              f'{settings.initial_samples} of the initial window (parameter initial.samples), and those '
-                             'of a robot that moves.')
+                             'of a robot that moves, one of each 4 ms.')
     if not seeds:
         raise SemiparamError('the comparison has no feature seed; expected at least one.')
     split = _split(len(test.samples), test_from, subsets, subset_samples, settings.horizon_length)

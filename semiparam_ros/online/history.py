@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from semiparam_ros.core.initial_window import beginning_steps, begins_step
 from semiparam_ros.core.samples import Sample, Samples
 from semiparam_ros.core.stamps import LONGEST_PAUSE_NS, LONGEST_STEP_S
 from semiparam_ros.core.types import Array, Codes, Mask, Stamps
@@ -207,6 +208,7 @@ class History:
         self._keep(sample, learnt)
 
     def _keep(self, sample: Sample, learnt: int) -> None:
+        begins = not len(self) or begins_step(sample.stamp, self._kept)
         if self._gathers:
             self._window.append(sample, learnt)
             self._bridged = sample.stamp
@@ -214,7 +216,8 @@ class History:
             if len(self._recent) >= self._latest:
                 self._let_go(self._recent.first())
             self._recent.append(sample, learnt)
-        self._learnt += learnt > 0
+        self._steps += begins
+        self._learnt += begins and learnt > 0
         self._kept = sample.stamp
 
     def _let_go(self, batch: SampleBatch) -> None:
@@ -228,21 +231,24 @@ class History:
 
     @property
     def _gathers(self) -> bool:
-        return self._learnt < self._first and len(self._window) < 2 * self._first
+        return self._learnt < self._first and self._steps < 2 * self._first
 
     def refill(self, batch: SampleBatch) -> None:
         """Keep what another history kept, in place of anything else; time goes on counting from where it did there."""
         self.discard(self.origin)
-        learnt = np.cumsum(batch.learnt)
-        end = min(int(np.searchsorted(learnt, self._first)) + 1, 2 * self._first, len(batch))
-        self._window.extend(batch.part(0, end))
         stamps = batch.stamps
+        begins = beginning_steps(stamps)
+        steps, learnt = np.cumsum(begins), np.cumsum(begins & batch.learnt)
+        end = min(int(np.searchsorted(learnt, self._first)), int(np.searchsorted(steps, 2 * self._first))) + 1
+        end = min(end, len(batch))
+        self._window.extend(batch.part(0, end))
         if len(batch):
             self._bridged, self._kept = int(stamps[end - 1]), int(stamps[-1])
         recent = max(end, len(batch) - self._latest)
         self._let_go(batch.part(end, recent))
         self._recent.extend(batch.part(recent))
-        self._learnt = int(learnt[-1]) if len(learnt) else 0
+        if len(batch):
+            self._steps, self._learnt = int(steps[-1]), int(learnt[-1])
         self.origin = batch.origin if len(batch) else self.origin
 
     def discard(self, origin: int | None) -> None:
@@ -252,7 +258,8 @@ class History:
         self._window, self._bridge, self._recent = SampleLog(), SampleLog(), SampleLog(self._latest)
         self._bridged = self._kept = 0
         self._at_rest: deque[Sample] = deque(maxlen=KEPT_OF_REST)
-        self._learnt = 0
+        self._steps = self._learnt = 0
+        """Steps, and those of which a sample was learnt, for the window."""
 
     def latest(self) -> Sample | None:
         """The last sample, None before the first."""

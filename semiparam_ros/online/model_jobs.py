@@ -10,6 +10,7 @@ import numpy as np
 
 from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.hyperparameters.estimation import Hyperparameters
+from semiparam_ros.core.initial_window import beginning_steps
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online.history import SampleBatch
@@ -61,7 +62,8 @@ def renew(settings: Settings, body: RigidBody, batch: SampleBatch, origin: int |
     it worse than the one that it is to beat.
     """
     later = later or RecentWindow(settings.initial_samples)
-    gathering, learning, learnt = new_estimator(settings, body, origin=origin), batch.learning, batch.learnt
+    gathering, learning = new_estimator(settings, body, origin=origin), batch.learning
+    learnt = (learning > 0) & beginning_steps(batch.stamps)
     window = later_window(learnt, later.samples)
     begin = int(window.argmax())
     start = 0 if settings.effects else begin  # they may remember all that was before

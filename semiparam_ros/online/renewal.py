@@ -103,7 +103,8 @@ class Watch:
 
 
 class Renewal:
-    """Watches the samples that are learnt. Another window begins with the first one outside of the window before.
+    """Watches the samples that are learnt, one of each step. Another window begins with the first one outside of the
+    window before.
 
     The third must wait for two windows' samples, each further one for twice as many, so that there are few in any life.
     Drafts do not wait for that, but for each other: the third for one draft's samples, each further one for about twice
@@ -152,7 +153,7 @@ class Renewal:
 
     def see(self, estimator: Estimator, prediction: Prediction) -> bool:
         """Take note of a sample that was just learnt; True when the latest ones are enough of another window."""
-        if estimator.input_scaling is None or not estimator.ready:
+        if estimator.input_scaling is None or not (estimator.ready and prediction.begins_step):
             return False
         self._learnt += 1
         self._since_draft += 1

@@ -11,7 +11,7 @@ import pytest
 
 from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.hyperparameters.estimation import Hyperparameters, estimate
-from semiparam_ros.core.initial_window import gathered_from
+from semiparam_ros.core.initial_window import STEP_NS, gathered_from
 from semiparam_ros.core.model import ModelOptions, information_gain
 from semiparam_ros.core.motion import STILL_SAMPLES, at_start
 from semiparam_ros.core.robot.rigid_body import RigidBody
@@ -336,10 +336,12 @@ def test_rest_is_not_counted_in_the_window_and_changes_nothing(arm, rate_hz, sec
     before = rest(recording[0], int(start), seconds * rate_hz)
     model, reference = (estimator(arm, 'SPK-ML', initial_samples=400) for _ in range(2))
     run(model, before)
-    assert len(model.window) == STILL_SAMPLES and not model.ready
+    steps = {sample.stamp // STEP_NS for sample in before[:STILL_SAMPLES]}
+    assert len(model.window) == len(steps) and not model.ready
     found, wanted = run(model, recording), run(reference, recording)
     assert [each.ready for each in wanted] == [False] * 400 + [True] * 500
-    assert [each.ready for each in found] == [False] * (400 - STILL_SAMPLES + 1) + [True] * (499 + STILL_SAMPLES)
+    left = 400 - len(steps)
+    assert [each.ready for each in found] == [False] * (left + 1) + [True] * (899 - left)
     assert relative_error(found[400:], recording) < 1.5 * relative_error(wanted[400:], recording)
     kept = model.model.recursion.state()
     after = run(model, rest(recording[899], int(recording.stamps[-1]) + period, seconds * rate_hz))
@@ -366,6 +368,22 @@ def test_what_of_a_recording_the_initial_window_takes(recording):
     assert gathered_from(recording, 100)[1:] == (100, True)
     assert gathered_from(recording, 10 * COUNT)[1:] == (COUNT, False)
     assert len(gathered_from(still, 100).indices) == STILL_SAMPLES and not gathered_from(still, 100).full
+
+
+@pytest.mark.parametrize(('period_ms', 'step'), [(0.5, 8), (1.0, 4), (2.0, 2), (3.0, None), (5.0, 1)])
+def test_a_window_of_a_fast_robot_takes_one_sample_of_each_step(arm, recording, period_ms, step):
+    """A thousand samples of 4 kHz were a quarter of a second of one motion."""
+    stamps = recording.stamps[0] // STEP_NS * STEP_NS + np.round(1e6 * period_ms * np.arange(COUNT)).astype(np.int64)
+    fast, wanted = replace(recording, stamps=stamps), 40
+    taken, model = gathered_from(fast, wanted), estimator(arm, 'P', initial_samples=wanted)
+    assert taken.full and len(taken.indices) == wanted and taken.end == taken.indices[-1] + 1
+    assert step is None or set(np.diff(taken.indices)) == {step}
+    assert np.diff(stamps[taken.indices] // STEP_NS).min() == 1
+    run(model, fast[:taken.end - 1])
+    assert not model.ready and len(model.window) == wanted - 1
+    np.testing.assert_array_equal(model.window.inputs, fast[taken.indices[:-1]].inputs)
+    run(model, fast[taken.end - 1:taken.end])
+    assert model.ready and model.window_samples == wanted
 
 
 def test_a_twin_finishes_the_window_while_the_rigid_body_goes_on(arm, recording):

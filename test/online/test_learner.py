@@ -175,6 +175,25 @@ def test_a_switch_misses_no_sample_and_equals_a_node_started_with_that_variant(a
     assert after == SETTINGS.variant or 'is being built from 150 samples' in sentence
 
 
+@pytest.mark.parametrize('period_ns', [1_000_000, 250_000])
+def test_a_switch_of_a_fast_robot_equals_a_node_started_with_that_variant(period_ns):
+    """Its window, which holds one sample of each step, is the same when it is gathered from what was kept."""
+    samples, switched = at_period(motion(1500), period_ns), replace(SETTINGS, initial_samples=50, variant='SPK-ML')
+    stage = Stage(replace(switched, variant='P', retained_samples=1))
+    stage.offer_and_build(samples[:1000])
+    stage.learner.change(switched)
+    stage.offer_and_build(samples[1000:1001])
+    built = stage.learner.estimator
+    expected = steps_of(samples[:1001], switched)[0]
+    assert built.variant == expected.variant and built.ready
+    np.testing.assert_array_equal(built.input_scaling, expected.input_scaling)
+    assert built.model.hyperparameters == expected.model.hyperparameters
+
+
+def at_period(samples, period_ns):
+    return [sample._replace(stamp=number * period_ns) for number, sample in enumerate(samples)]
+
+
 def test_hyperparameters_are_estimated_once_for_each_model():
     samples, stage = motion(120), Stage()
     stage.offer_and_build(samples)

@@ -185,6 +185,26 @@ def test_a_later_window_is_made_of_the_latest_samples_learnt():
     assert later_window(learnt[:20], 100).all()
 
 
+def test_of_a_fast_robot_one_sample_of_each_step_counts():
+    def at(period_ns, samples):
+        return [sample._replace(stamp=number * period_ns) for number, sample in enumerate(samples)]
+
+    def asked(day):
+        """The sample at which hyperparameters were estimated again, and the inputs' scale then."""
+        stage = Stage(SLOWER, InlineBackground())
+        for number, sample in enumerate(day):
+            stage.offer([sample])
+            if renewals(stage):
+                assert_as_offline(stage, day[:number + 1])
+                return number, stage.learner.estimator.input_scaling
+
+    day = [*faster(motion(500), 0.15), *motion(900)[500:]]
+    number, scaling = asked(at(2_000_000, day))
+    alone, expected = asked(at(4_000_000, day[::2]))
+    assert number == 2 * alone
+    np.testing.assert_array_equal(scaling, expected)
+
+
 @pytest.mark.parametrize('constant', [0.3, 1e-3, 0.0])
 def test_an_output_that_stays_the_same_decides_nothing(constant):
     """Its variance is rounding, which errors of a thousandth exceed ten thousand times."""
