@@ -209,7 +209,8 @@ class Estimator:
         self._go_on_from(prediction)
         if learn and (prediction.beyond or not len(self.inputs_learnt)):
             self.inputs_learnt = widened(self.inputs_learnt, sample.inputs)
-        complete = self.ensemble.take_in(prediction, learn, follow)
+        of_window = self.ready and self.ensemble.first.window_left  # which holds no others
+        complete = self.ensemble.take_in(prediction, learn and (prediction.begins_step or not of_window), follow)
         if learn:
             self.kept.add(sample)
             if self.ready and prediction.motion.is_news:

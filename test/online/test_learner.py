@@ -190,6 +190,18 @@ def test_a_switch_of_a_fast_robot_equals_a_node_started_with_that_variant(period
     assert built.model.hyperparameters == expected.model.hyperparameters
 
 
+@pytest.mark.parametrize('period_ns', [1_000_000, PERIOD_NS])
+def test_a_variant_that_comes_back_answers_as_if_it_had_never_left(period_ns):
+    """The window comes again as it was learnt, of a fast robot one sample of each step."""
+    samples, settings = at_period(motion(900), period_ns), replace(SETTINGS, initial_samples=50, variant='P')
+    stage = Stage(settings, InlineBackground())
+    stage.offer(samples[:600])
+    for variant, until in (('NP-ML', 700), ('P', 900)):
+        stage.learner.change(replace(settings, variant=variant))
+        stage.offer(samples[len(stage.answers):until])
+    np.testing.assert_allclose(stage.means[701:], offline(samples, settings)[1][701:], atol=1e-8)
+
+
 def at_period(samples, period_ns):
     return [sample._replace(stamp=number * period_ns) for number, sample in enumerate(samples)]
 
