@@ -605,6 +605,17 @@ def test_history_keeps_the_first_and_the_latest():
     assert len(history.span(0.08)) == 5
 
 
+def test_a_history_of_a_fast_robot_keeps_the_window_also_from_a_file():
+    """Ten samples, one of each step, and those between them."""
+    history, again = History(10, 5, 2), History(10, 5, 2)
+    for sample in at_period(motion(100), 1_000_000):
+        history.append(sample, Learning.YES)
+    again.refill(pickle.loads(pickle.dumps(history.batch())))
+    for each in (history, again):
+        assert each.batch().stamps.tolist() == [number * 1_000_000 for number in (*range(37), *range(95, 100))]
+        assert len(each._window) == 37
+
+
 @pytest.mark.parametrize('works', [False, True])
 def test_what_a_history_lets_go_of_hours_is_no_jump_of_the_clock(works):
     """A model that is built from it counts time as the one does that has seen every sample."""
