@@ -32,7 +32,7 @@ from semiparam_ros.online.worker import ProcessBackground, Urgency, _spawned_wor
 from semiparam_ros.ros.estimator.subscriptions import ClockWatch
 from semiparam_ros.settings.build import build_estimator, build_rigid_body, model_options
 from support.learner_stage import Stage
-from support.node_helpers import BODY, PERIOD_NS, SETTINGS, URDF, InlineBackground, motion
+from support.node_helpers import BODY, PERIOD_NS, SETTINGS, URDF, InlineBackground, at_period, motion
 
 VARIANTS = ('P', 'NP-ML', 'SP-ML', 'SP2-ML', 'SPK-ML')
 
@@ -200,10 +200,6 @@ def test_a_variant_that_comes_back_answers_as_if_it_had_never_left(period_ns):
         stage.learner.change(replace(settings, variant=variant))
         stage.offer(samples[len(stage.answers):until])
     np.testing.assert_allclose(stage.means[701:], offline(samples, settings)[1][701:], atol=1e-8)
-
-
-def at_period(samples, period_ns):
-    return [sample._replace(stamp=number * period_ns) for number, sample in enumerate(samples)]
 
 
 def test_hyperparameters_are_estimated_once_for_each_model():

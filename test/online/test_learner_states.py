@@ -20,6 +20,7 @@ from hypothesis import Phase
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
+from semiparam_ros.core.initial_window import STEP_NS
 from semiparam_ros.core.robot.consistency import pseudo_inertia
 from semiparam_ros.core.robot.external_wrench import ExternalWrench
 from semiparam_ros.core.variants import PRIORS
@@ -74,13 +75,16 @@ class Lives(RuleBasedStateMachine):
         self.offered, self.answers, self.given, self.saved = [], [], [], []
         self.stamp, self.place, self.warmth = self.motion[0].stamp, 0, np.nan
         self.learner, self.feedforward = None, Feedforward()
+        self.period_ns = PERIOD_NS
         self.since = set()  # the last motion: 'rest', 'jump'
         self.drafted = False  # a draft from the initial window is in force
         self.kept = False  # and stays, as the window after it failed
         self.external, self.compensation = ExternalWrench(self.body, 'ft'), Compensation(0.3)
 
-    @initialize(count=st.sampled_from([4, 'auto']), every=st.sampled_from([1, 3]), gain=st.sampled_from([0.0, 0.1]))
-    def begin(self, count=4, every=1, gain=0.0):
+    @initialize(count=st.sampled_from([4, 'auto']), every=st.sampled_from([1, 3]), gain=st.sampled_from([0.0, 0.1]),
+                period_ns=st.sampled_from([PERIOD_NS, STEP_NS // 3]))
+    def begin(self, count=4, every=1, gain=0.0, period_ns=PERIOD_NS):
+        self.period_ns = period_ns
         settings = replace(self.settings, features_count=count, learn_every=every, learn_least_gain=gain)
         self.learner = Learner(settings, self.body, self.background, self)
 
@@ -127,7 +131,7 @@ class Lives(RuleBasedStateMachine):
     def now(self, sample):
         """The sample as it comes next."""
         warmth = np.full(len(self.settings.temperatures), self.warmth)
-        return sample._replace(stamp=self.stamp + PERIOD_NS, temperature=warmth)
+        return sample._replace(stamp=self.stamp + self.period_ns, temperature=warmth)
 
     def offer(self, sample):
         sample = self.now(sample)
@@ -240,7 +244,7 @@ class Lives(RuleBasedStateMachine):
 
     @rule(ago=st.integers(0, 60))
     def applies_a_diagnosis(self, ago):
-        start = (self.stamp - ago * PERIOD_NS) * 1e-9
+        start = (self.stamp - ago * self.period_ns) * 1e-9
         self.change(effects=(f'payload@ft{{"start_stamp_s": {start!r}}}',))
 
     # Services

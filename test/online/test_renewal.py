@@ -18,7 +18,7 @@ from semiparam_ros.online.model_switcher import same_model
 from semiparam_ros.online.renewal import Errors, RecentWindow, later_window
 from semiparam_ros.online.worker import ProcessBackground, Urgency
 from support.learner_stage import Stage
-from support.node_helpers import BODY, SETTINGS, InlineBackground, faster, motion
+from support.node_helpers import BODY, SETTINGS, InlineBackground, at_period, faster, motion
 
 TAKEOVER_AFTER = 15
 
@@ -186,9 +186,6 @@ def test_a_later_window_is_made_of_the_latest_samples_learnt():
 
 
 def test_of_a_fast_robot_one_sample_of_each_step_counts():
-    def at(period_ns, samples):
-        return [sample._replace(stamp=number * period_ns) for number, sample in enumerate(samples)]
-
     def asked(day):
         """The sample at which hyperparameters were estimated again, and the inputs' scale then."""
         stage = Stage(SLOWER, InlineBackground())
@@ -199,8 +196,8 @@ def test_of_a_fast_robot_one_sample_of_each_step_counts():
                 return number, stage.learner.estimator.input_scaling
 
     day = [*faster(motion(500), 0.15), *motion(900)[500:]]
-    number, scaling = asked(at(2_000_000, day))
-    alone, expected = asked(at(4_000_000, day[::2]))
+    number, scaling = asked(at_period(day, 2_000_000))
+    alone, expected = asked(at_period(day[::2], 4_000_000))
     assert number == 2 * alone
     np.testing.assert_array_equal(scaling, expected)
 

@@ -236,10 +236,11 @@ class Client(ServedNode):
         """
         if not heard:
             self.heard['/diagnostics'].clear()
-        found = []
-        self.wait(lambda: found.extend(each for each in self._reports(title) if condition(*each)) or found,
-                  f'report {title}', timeout_s)
-        return found[0]
+
+        def fulfilling():
+            return [each for each in self._reports(title) if condition(*each)]
+        self.wait(fulfilling, f'report {title}', timeout_s)
+        return fulfilling()[0]
 
     def _reports(self, title):
         """The node's latest reports, in order."""

@@ -54,6 +54,11 @@ def motion(count: int, seed: int = 0, body=BODY) -> list[Sample]:
     return samples
 
 
+def at_period(samples, period_ns):
+    """The same samples, which come so often."""
+    return [sample._replace(stamp=number * period_ns) for number, sample in enumerate(samples)]
+
+
 def faster(samples, factor):
     """The same places passed at another speed, with the outputs that this takes."""
     found = []
