@@ -146,16 +146,20 @@ class Ensemble:
         if self.carried.wants_coefficients(stamp):
             self.carried.begin_block(stamp, [each.coefficients() for each in self.models])
 
-    def compare(self, prediction: Prediction) -> int:
-        """Let each model return to what was known before the last change of the robot, if that
-        predicts better; how many did."""
+    def compare(self, prediction: Prediction) -> bool:
+        """Return to what was known before the last change of the robot, if one of the models predicts
+        better by that; whether it did."""
         if not prediction.motion.is_news:
-            return 0
-        returns = sum([model.compare(prediction.sample, its)
-                       for model, its in zip(self.models, prediction.members, strict=True)])
-        if returns:
-            self.clear_horizons()
-        return returns
+            return False
+        as_before = [model.compare(prediction.sample, its)
+                     for model, its in zip(self.models, prediction.members, strict=True)]
+        return any(as_before) and self._return()
+
+    def _return(self) -> bool:
+        for each in self.models:
+            each.go_back()
+        self.clear_horizons()
+        return True
 
     def mark(self, stamp: int, keep: bool) -> None:
         """Copy what was learnt until a stamp [ns], where the last copy is old enough.
@@ -174,15 +178,15 @@ class Ensemble:
                 each.model.recursion.restore(state)
             self.clear_horizons()
 
-    def follow_change(self) -> int:
-        """The robot has changed: see
-        :meth:`~semiparam_ros.core.recursion.SemiParametricRecursion.follow_change`; how many models are
-        as before."""
+    def follow_change(self, directions: Array | None) -> bool:
+        """The robot has changed: see :meth:`OnlineModel.follow_change`; whether into what it was before
+        the last change."""
         self.carried.interrupt()
-        returns = sum([each.follow_change() for each in self.models])
-        if returns:
-            self.clear_horizons()
-        return returns
+        if any(each.model.recursion.as_before for each in self.models):
+            return self._return()
+        for each in self.models:
+            each.follow_change(directions)
+        return False
 
     def clear_horizons(self) -> None:
         """Forget half-finished horizons, and what the models would go back to."""

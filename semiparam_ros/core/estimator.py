@@ -227,9 +227,12 @@ class Estimator:
         """Take back what was learnt in the last half second, or a little more, where that is :attr:`marks`."""
         self.ensemble.go_back()
 
-    def follow_change(self) -> None:
-        """The robot has changed: see :meth:`~semiparam_ros.core.recursion.SemiParametricRecursion.follow_change`."""
-        self.returns += self.ensemble.follow_change()
+    def follow_change(self, directions: Array | None = None) -> None:
+        """The robot has changed: see :meth:`~semiparam_ros.core.recursion.SemiParametricRecursion.follow_change`.
+
+        :param directions: (q, k) of the columns without those of effects; None: any change.
+        """
+        self.returns += self.ensemble.follow_change(directions)
 
     def gather(self, sample: Sample, learn: bool = True) -> None:
         """Take a sample into the initial window alone: the rigid body neither answers nor learns it.

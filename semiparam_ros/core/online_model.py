@@ -180,8 +180,8 @@ class OnlineModel:
         return mean, std
 
     def compare(self, sample: Sample, prediction: MemberPrediction) -> bool:
-        """Go on from what was known before the last change of the robot, if that predicts the last
-        seconds better; whether it does."""
+        """Whether what was known before the last change of the robot predicts better since a second or
+        longer."""
         recursion = self.model.recursion
         if recursion.before is None:
             return False
@@ -192,17 +192,27 @@ class OnlineModel:
         prior = prediction.prior
         then = self.model.predict_by(recursion.before, prior.phi, prediction.columns).mean
         seconds = min(max(since, 0), LONGEST_COMPARED_NS) / NANOSECONDS
-        return self._returned(recursion.compare(seconds, sample.outputs - prior.mean, sample.outputs - then))
+        return recursion.compare(seconds, sample.outputs - prior.mean, sample.outputs - then)
 
-    def follow_change(self) -> bool:
-        """See :meth:`~semiparam_ros.core.recursion.SemiParametricRecursion.follow_change`."""
-        return self._returned(self.model.recursion.follow_change())
+    def follow_change(self, directions: Array | None = None) -> None:
+        """See :meth:`~semiparam_ros.core.recursion.SemiParametricRecursion.follow_change`.
 
-    def _returned(self, is_as_before: bool) -> bool:
-        """Forget the offset that followed the other model's errors."""
-        if is_as_before and self.wandering is not None:
+        A model without columns has nothing to follow directions by, and follows any change.
+
+        :param directions: (q, k) of the first q of its columns.
+        """
+        recursion = self.model.recursion
+        if directions is not None:
+            more = recursion.n_columns - len(directions)
+            directions = np.pad(directions, ((0, more), (0, 0))) if more >= 0 else None
+        recursion.follow_change(directions)
+
+    def go_back(self) -> None:
+        """Go on with what was known before the last change, without the offset that followed the other
+        model's errors."""
+        self.model.recursion.go_back()
+        if self.wandering is not None:
             self.wandering.forget()
-        return is_as_before
 
     def state(self) -> ModelState:
         """Copies of everything that samples have changed; :meth:`restore` takes them back bit for

@@ -46,13 +46,11 @@ from semiparam_ros.core.square_root_filter import (
 from semiparam_ros.core.types import Array, Indices
 from semiparam_ros.errors import SemiparamError
 
-BACK, COMPARED_S = 0.5, 2.0
-"""The model from before the last change returns where its squared error over the last seconds is so
-small a share of that of the model in force."""
-LEAST_COMPARED_S = 1.0
-"""Of those seconds so many must have been seen."""
-LATEST_S = 0.25
-"""Where the robot is told to have changed, the last quarter of a second says whether it is as before."""
+BACK, LEAST_COMPARED_S = 0.5, 1.0
+"""The model from before the last change returns where its squared error, over the last second or longer,
+is so small a share of that of the model in force."""
+LEAST_TOLD_S = 0.1
+"""Where the robot is told to have changed, so much says whether it is as before."""
 
 TOGETHER = 3
 """Rows that a reflection takes in at a time."""
@@ -135,9 +133,9 @@ class SemiParametricRecursion:
         """As it was before the robot last changed."""
         self.compared_at = 0
         """[ns] Stamp of the last sample at which the two were compared."""
-        self._compared: Array = np.zeros((2, 3))
-        """Squared errors of this model and of :attr:`before`, and seconds, over the last few, and over
-        the latest."""
+        self._compared: Array = np.zeros(3)
+        """Squared errors of this model and of :attr:`before`, and seconds, since their share was last
+        ``BACK``."""
         self._prior_information: Array = self._prior_std**-2
         """(p,) of R'R, what is the prior's and not the samples': it is forgotten and renewed."""
         self._regression = Regression(self._prior_root(), self.scale, self.sigma,
@@ -181,48 +179,69 @@ class SemiParametricRecursion:
         self.take_over(update.theta, learn(*self.arrays, prior, outputs, update))
         return update
 
-    def follow_change(self) -> bool:
-        """The robot has changed: whether into what it was :attr:`before`.
+    def follow_change(self, directions: Array | None = None) -> None:
+        """The robot has changed: theta and the weights stay what they are, their covariance grows, and
+        what was known is kept :attr:`before`.
 
-        Else by as much as the prior expects of any robot: theta and the weights stay what they are,
-        with the prior's covariance, and what was known is kept :attr:`before`.
+        :param directions: (p, k) L, theta has become theta + L delta with delta ~ N(0, I); None: by as
+            much as the prior expects of any robot, the weights too.
         """
-        now, then, _ = self._compared[1].tolist()
-        if then < BACK * now and self._return():
-            return True
-        self.before, self._compared = None, np.zeros((2, 3))
+        self.before, self._compared = None, np.zeros(3)
         self.before = deepcopy(self)
-        estimates = np.zeros((self.n_outputs, self.n_columns + 1, self.n_features))
-        estimates[:, -1] = self.weights()
-        self._weights.begin(self.rho, estimates.reshape(len(self._weights.root.places), self.n_features))
-        self._regression = self._regression._replace(information=self._prior_root())
-        self._prior_information = self._prior_std**-2
+        if directions is None:
+            information, kept = self._prior_root(), np.zeros((self.n_columns, self.n_columns))
+            self._prior_information, deviation = self._prior_std**-2, self.rho
+        else:
+            (information, kept), deviation = self._moved(directions), None
+        estimates = self._weights.estimates().reshape(self.n_outputs, self.n_columns + 1, self.n_features)
+        of_columns = estimates[:, :-1].copy()
+        estimates[:, :-1] = np.einsum('cd,ncf->ndf', kept, of_columns)
+        estimates[:, -1] += self.theta @ (estimates[:, :-1] - of_columns)
+        self._weights.begin(deviation, estimates.reshape(len(self._weights.root.places), -1))
+        self._regression = self._regression._replace(information=information)
         self.revise()
-        return False
+
+    def _moved(self, directions: Array) -> tuple[Array, Array]:
+        """(p + 1, p + 1) R of theta + L delta, and (p, p) G = P (P + L L')^-1 with P = (R'R)^-1.
+
+        Of what is known of theta G (theta' - theta) goes on. With R L = U s V' the new R'R is
+        R' (I - U s^2 / (1 + s^2) U') R, and G = I - L V s / (1 + s^2) U' R.
+        """
+        root, along = self._regression.information[:-1, :-1], directions[::-1]
+        left, s, right = np.linalg.svd(root @ along, full_matrices=False)
+        shrunk = root - left @ ((1.0 - 1.0 / np.sqrt(1.0 + s**2))[:, None] * (left.T @ root))
+        kept = np.eye(self.n_columns) - along @ right.T @ ((s / (1.0 + s**2))[:, None] * (left.T @ root))
+        information = np.zeros_like(self._regression.information)
+        information[:-1, :-1] = np.linalg.qr(shrunk, mode='r')
+        information[:-1, -1] = information[:-1, :-1] @ self.theta[::-1]
+        return information, kept[::-1, ::-1]
 
     def compare(self, seconds: float, now: Array, then: Array) -> bool:
         """Charge what this model and the one :attr:`before` left of a sample (n,), so long after
-        the last one.
-
-        True where the robot is as it was before (a load was put down): the two have changed places.
+        the last one; whether the robot is as it was before (a load was put down).
         """
         charged = [float(((left / self.scale) ** 2).sum()) for left in (now, then)] + [1.0]
-        kept = np.exp(-seconds / np.array([[COMPARED_S], [LATEST_S]]))
-        self._compared = kept * self._compared + seconds * np.array(charged)
-        (now_left, then_left, seen), _ = self._compared.tolist()
-        return seen >= LEAST_COMPARED_S and then_left < BACK * now_left and self._return()
+        self._compared += seconds * np.array(charged)
+        now_left, then_left, _ = self._compared.tolist()
+        if then_left >= BACK * now_left:
+            self._compared[:] = 0.0
+        return self._compared[2] >= LEAST_COMPARED_S
 
-    def _return(self) -> bool:
-        """Change places with the model from before; whether there is one."""
-        before, self._compared = self.before, np.zeros((2, 3))
+    @property
+    def as_before(self) -> bool:
+        """Whether the robot is as it was before, where it is told to have changed."""
+        return bool(self._compared[2] >= LEAST_TOLD_S)
+
+    def go_back(self) -> None:
+        """Change places with the model from before, where there is one."""
+        before, self._compared = self.before, np.zeros(3)
         if before is None:
-            return False
+            return
         for name in _LEARNT:
             mine, its = getattr(self, name), getattr(before, name)
             setattr(self, name, its)
             setattr(before, name, mine)
         self.revise()
-        return True
 
     @property
     def arrays(self) -> tuple[Root, Regression]:

@@ -67,15 +67,19 @@ class SquareRootFilter:
         self.root = Root(array, left, right, 0, 1.0, np.full(n_estimates, -1), 0)
         self.begin(deviation, np.zeros((n_estimates, size)))
 
-    def begin(self, deviation: float, estimates: Array) -> None:
-        """Start anew, Theta' from estimates (q, D)."""
+    def begin(self, deviation: float | None, estimates: Array) -> None:
+        """Start anew, Theta' from estimates (q, D); where no deviation is given S stays."""
+        if deviation is None:
+            self._settle()
         root, size, used = self.root, self.size, estimates.any(axis=1)
         placed = int(used.sum())
-        root.array[:] = 0.0
-        root.array[:size] = deviation * np.eye(size)
+        root.array[size:] = 0.0
+        if deviation is not None:
+            root.array[:size] = deviation * np.eye(size)
+            root = root._replace(waiting=0, inflation=1.0)
         root.array[size : size + placed] = estimates[used]
         places = np.where(used, np.cumsum(used) - 1, -1)
-        self.root = root._replace(waiting=0, inflation=1.0, places=places, placed=placed)
+        self.root = root._replace(places=places, placed=placed)
 
     def project(self, phi: Array) -> Projection:
         """Products that a prediction at phi (D,) needs; nothing changes."""
@@ -146,7 +150,7 @@ class SquareRootFilter:
         """M takes in the changes that wait."""
         root = self.root
         array, left, right = root.array.T, root.left[:root.waiting].T, root.right[:root.waiting].T
-        width, end = max(1, BLOCK_ELEMENTS // self.size), self.size + root.placed
+        width, end = max(1, BLOCK_ELEMENTS // max(1, self.size)), self.size + root.placed
         for start in range(0, end, width):
             block = slice(start, min(start + width, end))
             dgemm(1.0, left, right[block], beta=1.0, c=array[:, block], trans_b=1, overwrite_c=1)

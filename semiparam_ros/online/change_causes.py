@@ -27,6 +27,8 @@ from semiparam_ros.effects.loads import Payload
 RARE = 1e4
 """A load is picked up or put down so many times as often as anything else changes; and that as
 often as something of which the kind is not known."""
+OF_FRICTION = SENSOR_OFFSET, EFFORT_OFFSET, FRICTION = 'sensor_offset', 'effort_offset', 'friction'
+"""Kinds whose coefficients are those of friction and offsets."""
 HAND_M = 0.15
 """[m] How far from the last link the centre of a load may be, and how large it is."""
 MASS_SHOWS = 2.5
@@ -63,19 +65,16 @@ def causes_of(columns: CoupledColumns) -> tuple[list[Cause], Array]:
         causes.append(Cause(kind, where, slice(start, start + directions.shape[1]), price))
         parts.append(directions)
 
-    link = last_link(body)
-    index, transform = load_transform(body, link)
-    load = np.zeros((turns.stop, transform.shape[1]))
-    load[rigid] = body.basis[10 * index : 10 * index + 10].T @ transform * load_scale(body, link)
-    add(Payload.kind, link, load, 0.0)
+    load = np.pad(load_directions(columns), ((0, turns.stop - turns.start), (0, 0)))
+    add(Payload.kind, last_link(body), load, 0.0)
     of_joints = 2 * body.n_outputs if columns.has_friction else 1
     price = log(RARE * (2 + of_joints + len(body.joints)))
     if body.outputs == 'wrench':
-        add('sensor_offset', None, own[:, offset], price)
+        add(SENSOR_OFFSET, None, own[:, offset], price)
     for number, joint in enumerate(body.output_names if columns.has_friction else ()):
-        add('effort_offset', joint, own[:, [offset.start + number]], price)
+        add(EFFORT_OFFSET, joint, own[:, [offset.start + number]], price)
         add(
-            'friction',
+            FRICTION,
             joint,
             own[:, friction.start + number : friction.stop : body.n_outputs],
             price,
@@ -85,6 +84,26 @@ def causes_of(columns: CoupledColumns) -> tuple[list[Cause], Array]:
         add(ZeroSlip.kind, joint, own[:, [number]], price)
     add('', None, own[:, rigid], price + log(RARE))
     return causes, np.hstack(parts)
+
+
+def load_directions(columns: CoupledColumns) -> Array:
+    """(q, 10) what a load at the last link adds to the coefficients of a model, in units of its prior;
+    q: columns without those of effects."""
+    body = columns.body
+    link = last_link(body)
+    index, transform = load_transform(body, link)
+    found = np.zeros((columns.n_own, transform.shape[1]))
+    found[columns.blocks['rigid_body']] = (
+        body.basis[10 * index : 10 * index + 10].T @ transform * load_scale(body, link)
+    )
+    return found
+
+
+def friction_directions(columns: CoupledColumns) -> Array:
+    """(q, k) the coefficients of friction and offsets, in units of their prior."""
+    chosen = np.ones(columns.n_own, dtype=bool)
+    chosen[columns.blocks['rigid_body']] = False
+    return np.diag(columns.prior_scale[: columns.n_own])[:, chosen]
 
 
 def load_scale(body: RigidBody, link: str) -> Array:

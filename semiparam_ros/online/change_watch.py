@@ -24,6 +24,7 @@ from semiparam_ros.core.columns import ColumnBlock, CoupledColumns
 from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.model import Model
 from semiparam_ros.core.prediction import Prediction
+from semiparam_ros.core.recursion import LEAST_COMPARED_S
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.stamps import NANOSECONDS
 from semiparam_ros.effects import Effect
@@ -42,6 +43,7 @@ from semiparam_ros.online.changes import (
 )
 from semiparam_ros.online.history import History
 from semiparam_ros.online.identified_parameters import Load
+from semiparam_ros.online.learning import Learning, learning_after
 from semiparam_ros.online.worker import Background, Urgency
 
 if TYPE_CHECKING:
@@ -303,8 +305,8 @@ class ChangeWatch:
         self.applied = AppliedEffects(body)
         self.holds = self.begins_to_hold = False
         """Whether the next sample is not to be learnt, and whether it is the first one."""
-        self.follows = False
-        """Whether the next sample that is learnt is the first one of a robot that has changed."""
+        self.follows: Learning | None = None
+        """What follows with the next sample that is learnt, the first one of a robot that has changed."""
         self._held_s = 0.0
         self._assumed = 0, 0
         """The change whose load is taken off before it is named, and of how many blocks it is."""
@@ -319,7 +321,7 @@ class ChangeWatch:
         """Number of the last change from before the clock jumped: stamps of those mean another time."""
         self._inputs: Inputs | None = None
         """How the samples of this robot are best prepared, once that is known."""
-        self._now = 0
+        self._now = self._returned_at = 0
         self._first: int | None = None
         """[ns] The first sample since then: of those before it is not known what was there."""
 
@@ -388,14 +390,14 @@ class ChangeWatch:
     def forget(self) -> None:
         """Another model predicts, of which nothing is known yet; what was told stays."""
         self.detector = self._columns = None
-        self.holds = self.follows = False
+        self.holds, self.follows = False, None
         self.applied.assume(None)
         self._contacts.end(self._now)
 
     def reset(self) -> None:
         """Drop what is half seen, as after a jump of the clock: what came before is no longer there
         to name a change from."""
-        self.follows = False
+        self.follows = None
         self.applied.reset()
         self._contacts.reset()
         self._due, self._past, self._first = [], max(self.records, default=0), None
@@ -417,7 +419,9 @@ class ChangeWatch:
         if block is not None:
             self._contacts.see(block, detector.touched, change is not None)
         if change is not None:
-            self.follows |= not self.applies and change.ended is None and change.number not in self.records
+            new = change.ended is None and change.number not in self.records
+            if new and not self.applies and not change.since <= self._returned_at <= self._now:
+                self.follows = learning_after(change.kind)
             self._record(change)
         if block is not None and detector.judges:
             self._judge(detector, block)
@@ -508,12 +512,10 @@ class ChangeWatch:
 
     def _hold(self, detector: ChangeDetector) -> None:
         """Keep what stands out from being learnt until it is known what it is."""
-        if not self.applies:  # all is learnt, and told
-            self.holds, self._held_s = False, 0.0
-            return
         followed = detector.followed
-        waits = followed is not None and self._waits(followed.change.number)
-        if not (detector.stands_out or waits):
+        told = followed is not None and not self.applies  # it is learnt
+        waits = followed is not None and not told and self._waits(followed.change.number)
+        if told or not (detector.stands_out or waits):
             self.holds, self._held_s = False, max(self._held_s - BLOCK_S, 0.0)
         elif self._held_s >= HELD_S:
             self._learn()
@@ -525,7 +527,7 @@ class ChangeWatch:
 
     def _learn(self) -> None:
         """Let the model learn what no effect of the robot explains; with it another error is usual."""
-        self.holds, self._held_s, self.follows = False, 0.0, True
+        self.holds, self._held_s, self.follows = False, 0.0, Learning.AFTER_CHANGE
         self.applied.assume(None)
         if self.detector is not None:
             self.detector.learn_usual()
@@ -691,16 +693,22 @@ class ChangeWatch:
     def returned(self) -> None:
         """The model has changed places with the one from before the last change that it learnt.
 
-        Where that one was there yet, what was just told is its end; else it came again.
+        Where that one was there yet, what was just told is its end, or it ends untold; else it came again.
         """
-        followed = self._followed
-        if followed is None:
-            return
-        learnt = [record.change for number, record in self.records.items() if number < followed.change.number
+        self._returned_at = self._now
+        followed, detector = self._followed, self.detector
+        learnt = [record.change for number, record in self.records.items()
+                  if (followed is None or number < followed.change.number)
                   and not record.retracted and not record.was_applied]
         last = max(learnt, default=None, key=lambda change: change.number)
-        if last is not None and last.ended is None:
+        if last is None or last.ended is not None or detector is None:
+            return
+        if followed is not None:
             self._end(last.number, followed.change.number)
+        else:
+            compared = self._now - round(LEAST_COMPARED_S * NANOSECONDS)
+            self._record(last._replace(noticed=self._now, ended=min(detector.touched_at, compared)))
+            detector.reset()
 
     def _end(self, number: int, by: int) -> None:
         """A change that was learnt is over since another one began, which is none of its own."""

@@ -344,7 +344,7 @@ class ChangeDetector:
         self.followed: Followed | None = None
         self.touched = False
         self._standing, self._held, self._felt = 0, False, False
-        self._touched_at = 0
+        self.touched_at = 0
         """[ns] since when it is touched."""
         self._compared: Array = np.zeros(3)
         """Weighed squares of the model from before, and as it stands, over so many blocks; none
@@ -539,7 +539,7 @@ class ChangeDetector:
             outstanding = 0.0
         self._standing = self._standing + 1 if outstanding >= 1.0 else 0
         if not self.touched:
-            self._touched_at = block.end
+            self.touched_at = block.end
         if self._standing:
             self._held = True
             return self._tell(stamp)
@@ -821,14 +821,18 @@ class ChangeDetector:
             return None
         since = list(self._blocks)[-followed.blocks :]
         starts = np.arange(len(since))
-        grams, sums, power = (
+        grams, sums, power, gained = (
             _since(np.array(values), starts)
-            for values in zip(
-                *((each.gram, each.moment, each.own[-1].sum()) for each in since), strict=True
+            for values in (
+                [each.gram for each in since],
+                [each.moment for each in since],
+                [each.own[-1].sum() for each in since],
+                self._gained(followed)[-len(since) :],
             )
         )
         usual = self.usual_squares * (len(since) - starts)
-        kappa = self.innovation_noise * np.maximum(power / usual, 1.0)
+        left = np.minimum(power, power - gained)  # by the likelier of both
+        kappa = self.innovation_noise * np.maximum(left / usual, 1.0)
         until, whole = (
             followed.without(*values).evidence(kappa)
             for values in ((grams, sums), (np.zeros_like(grams[:1]), np.zeros_like(sums[:1])))
@@ -851,12 +855,13 @@ class ChangeDetector:
         followed = self.followed
         again = followed is not None and followed.blocks < JUDGED_ANEW
         self.number += not again
-        touched = min(blocks[0].start, self._touched_at)
-        if followed is not None and again:
-            touched = min(touched, followed.change.touched)
+        since = blocks[0].start
+        touched = min(since, self.touched_at)
+        if followed is not None and again:  # what it is, is told anew, not when it began
+            since, touched = min(since, followed.change.since), min(touched, followed.change.touched)
         change = Change(
             self.number,
-            blocks[0].start,
+            since,
             stamp,
             judged.cause.kind,
             judged.cause.where,

@@ -177,7 +177,7 @@ class Learner:
                 'a change of the robot, and is learnt.')
         learning = learning_of(prediction, self.settings.learning and not contact, self.gate, self.changes)
         self.gate.changed &= learning in (Learning.NO_NEWS, Learning.NO)
-        self.changes.follows &= learning in (Learning.NO_NEWS, Learning.NO)
+        self.changes.follows = self.changes.follows if learning in (Learning.NO_NEWS, Learning.NO) else None
         self.changes.begins_to_hold &= learning != Learning.TAKEN_BACK
         answer = Answer(self._as_measured(prediction, of_tools, of_changes), sample.outputs - prediction.mean,
                         standardised_innovation(prediction), learning, contact, self.gate.level, *self.gate.places(),
@@ -194,7 +194,8 @@ class Learner:
 
     def _look_for_changes(self, prediction: Prediction) -> None:
         """Whatever goes wrong there, the sample is learnt."""
-        self.changes.applies = self.estimator.marks = self.settings.diagnosis_auto == APPLY
+        self.changes.applies = self.settings.diagnosis_auto == APPLY
+        self.estimator.marks = self.settings.diagnosis_auto != OFF
         if self.settings.diagnosis_auto == OFF:
             self.changes.forget()
             return

@@ -8,9 +8,13 @@ from __future__ import annotations
 from enum import IntEnum
 from typing import TYPE_CHECKING
 
+from semiparam_ros.core.columns import CoupledColumns
 from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.horizon_error import HorizonErrors
 from semiparam_ros.core.prediction import Prediction
+from semiparam_ros.core.types import Array
+from semiparam_ros.effects.loads import Payload
+from semiparam_ros.online.change_causes import OF_FRICTION, friction_directions, load_directions
 from semiparam_ros.online.contact_gate import ContactGate
 
 if TYPE_CHECKING:
@@ -37,6 +41,10 @@ class Learning(IntEnum):
     YES = 1
     AFTER_CHANGE = 2
     """The first one learnt after a lasting change of the robot: the model begins anew from what it knows."""
+    AFTER_LOAD = 3
+    """The first one learnt after a load was picked up, or put down: nothing else is in doubt."""
+    AFTER_FRICTION = 4
+    """The same after friction or an offset became another one."""
 
 
 def learning_of(prediction: Prediction, learn: bool, gate: ContactGate,
@@ -49,7 +57,8 @@ def learning_of(prediction: Prediction, learn: bool, gate: ContactGate,
         return Learning.NO_NEWS
     if learn and changes.holds:
         return Learning.TAKEN_BACK if changes.begins_to_hold else Learning.OFFSET
-    return Learning.AFTER_CHANGE if learn and (gate.changed or changes.follows) else Learning(learn)
+    after = Learning.AFTER_CHANGE if gate.changed else changes.follows
+    return after if learn and after is not None else Learning(learn)
 
 
 def observe(estimator: Estimator, prediction: Prediction, learning: int, finish: bool = True) -> HorizonErrors | None:
@@ -61,6 +70,26 @@ def observe(estimator: Estimator, prediction: Prediction, learning: int, finish:
     complete = estimator.observe(prediction, learning > 0, finish, follow)
     if learning == Learning.TAKEN_BACK:
         estimator.go_back()
-    elif learning == Learning.AFTER_CHANGE:
-        estimator.follow_change()
+    else:
+        follow_change(estimator, learning)
     return complete
+
+
+def follow_change(estimator: Estimator, learning: int) -> None:
+    """Let a model follow the change that is told with a sample, if any is."""
+    if learning >= Learning.AFTER_CHANGE:
+        estimator.follow_change(directions_of(learning, estimator.columns))
+
+
+def directions_of(learning: int, columns: CoupledColumns) -> Array | None:
+    """(q, k) the coefficients that are in doubt after a change; None: all of them."""
+    if learning == Learning.AFTER_LOAD:
+        return load_directions(columns)
+    return friction_directions(columns) if learning == Learning.AFTER_FRICTION else None
+
+
+def learning_after(kind: str) -> Learning:
+    """Fate of the first sample learnt after a change that was told as of some kind ('': of none)."""
+    if kind == Payload.kind:
+        return Learning.AFTER_LOAD
+    return Learning.AFTER_FRICTION if kind in OF_FRICTION else Learning.AFTER_CHANGE

@@ -14,7 +14,7 @@ from semiparam_ros.core.initial_window import beginning_steps
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online.history import SampleBatch
-from semiparam_ros.online.learning import APPLY, Learning, observe
+from semiparam_ros.online.learning import OFF, Learning, follow_change, observe
 from semiparam_ros.online.renewal import MOST_WORSE, Errors, RecentWindow, judged, later_window
 from semiparam_ros.settings.build import declared_effects, hyperparameter_values, model_options
 from semiparam_ros.settings.snapshot import Settings
@@ -73,12 +73,13 @@ def renew(settings: Settings, body: RigidBody, batch: SampleBatch, origin: int |
     estimator, errors = new_estimator(settings, body, known_of(gathering), origin), Errors(body.n_outputs)
     estimator.marks |= bool((learning == Learning.TAKEN_BACK).any())
     compared = later_window(learnt, judged(later.samples))
-    changed = np.flatnonzero(learning[:begin] == Learning.AFTER_CHANGE)
+    changed = np.flatnonzero(learning[:begin] >= Learning.AFTER_CHANGE)
     since = int(changed[-1]) if len(changed) else 0
     first, every = (max(OLDER, -(-count // OLDER_OF_DRAFT)) if later.draft else OLDER
                     for count in (since, begin - since))
     older = np.zeros(begin, dtype=bool)
     older[:since:first] = older[since::every] = True
+    fate = int(learning[since])
     learning[:begin] = np.minimum(learning[:begin], np.where(older, Learning.YES, Learning.NO))
     before = min(since, start)
     parts = [*batch.part(0, before, first).rows, *batch.part(since, start, every).rows, *batch.part(start).rows]
@@ -87,7 +88,7 @@ def renew(settings: Settings, body: RigidBody, batch: SampleBatch, origin: int |
                compared[numbers].tolist(), strict=True)
     for number, (sample, _), learns, chosen in each:
         if number == since > 0:
-            estimator.follow_change()
+            follow_change(estimator, fate)
         prediction = estimator.predict(sample)
         if chosen:
             errors.add(prediction)
@@ -105,7 +106,7 @@ def new_estimator(settings: Settings, body: RigidBody, known: Known | None = Non
         settings = settings.changed(hyperparameter_values(*known[:3]))
     options = replace(model_options(settings), others=known.others if known else ())
     estimator = Estimator(body, options, declared_effects(settings), origin, known.window if known else 0)
-    estimator.marks = settings.diagnosis_auto == APPLY
+    estimator.marks = settings.diagnosis_auto != OFF
     return estimator
 
 

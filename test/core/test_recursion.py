@@ -123,6 +123,33 @@ def test_it_equals_the_dense_recursion(case):
     np.testing.assert_allclose(ours.theta_covariance(), dense.covariance[:p, :p], **SAME)
 
 
+@given(sizes, st.integers(1, 4))
+@settings(max_examples=60)
+def test_a_change_along_directions_adds_their_covariance(case, rank):
+    """No answer moves; of features, what is known of them together with theta goes on as far as it can."""
+    n, d, p = case['n'], case['d'], case['p']
+    phi, columns, outputs = problem(case['seed'], 30, n, d, p)
+    std = case['gamma'] * np.linspace(0.5, 2, p)
+    ours = SemiParametricRecursion(n, d, std, case['rho'], case['sigma'], None, case['forgetting'])
+    dense = Dense(n, d, std, case['rho'], case['sigma'], np.zeros(p), case['forgetting'])
+    directions = np.random.default_rng(case['seed']).standard_normal((p, rank))
+    for index, row in enumerate(zip(phi, columns, outputs, strict=True)):
+        if index in case['changes']:
+            known, before = unknowns(ours), ours.predict(*row[:2])
+            ours.follow_change(directions)
+            dense.covariance[:p, :p] += directions @ directions.T
+            np.testing.assert_allclose(unknowns(ours), known, **SAME)
+            np.testing.assert_allclose(ours.predict(*row[:2]).mean, before.mean, **SAME)
+        prior = ours.predict(*row[:2])
+        if not d:
+            np.testing.assert_allclose(prior.covariance, dense.predict(*row[:2])[1], **SAME)
+        ours.learn(prior, row[2])
+        dense.learn(*row)
+    if not d:
+        np.testing.assert_allclose(unknowns(ours), dense.mean, **SAME)
+        np.testing.assert_allclose(ours.theta_covariance(), dense.covariance[:p, :p], **SAME)
+
+
 def test_outputs_of_different_scales_are_those_of_one_scale_in_other_units():
     phi, columns, outputs = problem(6, 40, 3, 5, 4)
     scale, known = np.array([0.01, 3.0, 200.0]), np.random.default_rng(0).normal(size=(40, 3))
@@ -393,4 +420,5 @@ def test_after_a_change_little_that_comes_outvotes_the_past_and_what_was_known_r
         outputs = columns @ body
         if model.compare(0.01, outputs - columns @ model.theta, outputs - columns @ model.before.theta):
             break
+    model.go_back()
     np.testing.assert_array_equal(model.theta, known)

@@ -5,14 +5,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from semiparam_ros.core.columns import CoupledColumns
+from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.diagnosis.change import name_change
 from semiparam_ros.effects.loads import Payload
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.experiments.evaluation import OfflineLearner
 from semiparam_ros.online import change_watch
+from semiparam_ros.online.change_causes import causes_of, load_directions
 from semiparam_ros.online.change_watch import APPLIED, ASSUMED, TAKEN_BACK, TRIED, ChangeRecord, Decision
-from semiparam_ros.online.changes import Change
+from semiparam_ros.online.changes import Change, ChangeDetector
 from semiparam_ros.online.diagnosis_jobs import name_change as name_in_background
+from semiparam_ros.online.learning import Learning, directions_of, learning_after
+from support.arms import ODD_ARM, ODD_JOINTS
 from support.changing_arm import (
     LOADED_S,
     SETTINGS,
@@ -70,6 +75,39 @@ def test_with_report_the_model_follows_a_load_at_once_and_returns(variant):
     last = {each.change.number: each for each in stage.changes}
     assert [(number, each.retracted) for number, each in last.items()] == [(1, False), (2, True)]
     assert last[2].sentence.endswith(': what came or went is change 1.')
+
+
+def test_a_model_that_returns_before_anything_is_told_ends_what_it_learnt(monkeypatch):
+    """Nobody said that the load was gone, until the detector told its end as a change of its own."""
+    body, samples, _ = loaded()
+    stage = offered(body, samples[samples.time < LOADED_S[0] + 14.0])
+    watch = stage.learner.changes
+    assert [record.change.ended for record in watch.records.values()] == [None]
+    watch.detector.reset()
+    monkeypatch.setattr(ChangeDetector, '_tell', lambda *_: None)
+    stage.offer(samples[(samples.time >= LOADED_S[1]) & (samples.time < LOADED_S[1] + 3.0)])
+    (record,) = watch.records.values()
+    assert stage.learner.estimator.returns == 1 and record.effect.kind == 'payload'
+    assert abs(record.change.ended - samples.origin - LOADED_S[1] * 1e9) < 1e9
+    assert watch.state == 'as it was'
+
+
+@pytest.mark.parametrize('kind', ['sensor_offset', 'effort_offset', 'friction', 'payload', 'zero_slip', ''])
+@pytest.mark.parametrize('outputs', ['wrench', 'effort'])
+def test_what_was_told_alone_is_in_doubt(kind, outputs):
+    """Every cause that moves columns of the model; after any other all of it is."""
+    body = free()[0] if outputs == 'wrench' else RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, 'effort')
+    columns = CoupledColumns(body, joint_friction=outputs == 'effort')
+    causes, directions = causes_of(columns)
+    parts = [directions[:columns.n_own, cause.part] for cause in causes if cause.kind == kind]
+    found = directions_of(learning_after(kind), columns)
+    if kind in ('zero_slip', ''):
+        assert found is None
+    else:
+        for part in parts:
+            residual = part - found @ np.linalg.lstsq(found, part, rcond=None)[0]
+            assert np.abs(residual).max() < 1e-9 * np.abs(part).max()
+        assert np.linalg.matrix_rank(found) < columns.n_own
 
 
 def test_a_load_that_comes_again_ends_no_earlier_change():
@@ -182,13 +220,32 @@ def test_nothing_is_looked_for_where_it_is_off_or_cannot_be(settings):
     assert stage.learner.changes.state == 'not looked for'
 
 
-def test_answers_are_the_same_whether_changes_are_looked_for_or_not_until_one_is_told():
+def test_answers_are_the_same_whether_changes_are_looked_for_or_not_until_anything_stands_out():
     body, samples, _ = loaded()
     samples = samples[samples.time < LOADED_S[0] + 8.0]
     stage = offered(body, samples)
-    until = int(np.searchsorted(samples.stamps, stage.changes[0].change.noticed)) + 3
+    learning = stage.learner.history.batch().learning
+    until = int(np.argmax(learning == Learning.TAKEN_BACK)) + 1
+    assert LOADED_S[0] < samples.time[until] < (stage.changes[0].change.noticed - samples.origin) * 1e-9
     differ = (stage.means != offered(body, samples, diagnosis_auto='off').means).any(axis=1)
     assert not differ[:until].any() and differ[until:].all()
+
+
+def test_a_load_that_is_told_leaves_the_arm_as_it_was_learnt():
+    """What stands out is not learnt before it is told, and then of a load alone."""
+    body, samples, _ = loaded()
+    samples = samples[samples.time < LOADED_S[0] + 8.0]
+    stage = offered(body, samples)
+    batch, estimator = stage.learner.history.batch(), stage.learner.estimator
+    kinds = set(batch.learning[samples.time > LOADED_S[0] + 0.2].tolist())
+    assert {Learning.TAKEN_BACK, Learning.OFFSET, Learning.AFTER_LOAD, Learning.YES} == kinds
+    recursion = estimator.model.recursion
+    moved = recursion.theta - recursion.before.theta
+    directions = load_directions(estimator.columns)
+    root = recursion.before.theta_root()
+    along, *_ = np.linalg.lstsq(root @ directions, root @ moved, rcond=None)
+    beside = root @ (moved - directions @ along)
+    assert np.linalg.norm(beside) < 0.1 * np.linalg.norm(root @ moved)
 
 
 def test_a_touch_ends_when_nobody_looks_any_more():

@@ -80,6 +80,21 @@ def test_a_second_change_is_one_change():
     assert abs((found[-1].touched - samples.origin) * 1e-9 - 84.0) < 0.2
 
 
+def test_a_change_that_lasts_is_not_over_though_it_looks_like_noise(monkeypatch):
+    """It counted as noise itself: an offset of a sensor was over, and told anew, fifteen times in a minute."""
+    body, samples = free()
+    jump = 0.1 * samples.outputs.std(axis=0) * ((samples.time >= 70.0) & (samples.time < 72.0))[:, None]
+    samples = replace(samples, outputs=samples.outputs + jump)
+    stage = offered(body, samples[samples.time < 72.0])
+    detector = stage.learner.changes.detector
+    assert detector.followed.change.kind == 'sensor_offset'
+    monkeypatch.setattr(ChangeDetector, 'innovation_noise', property(lambda _: 10.0))
+    monkeypatch.setattr(detector._usual[0], 'ratio', lambda _: 0.0)
+    assert detector._end(detector.followed) is None
+    stage.offer(samples[(samples.time >= 72.0) & (samples.time < 75.0)])
+    assert abs(stage.changes[-1].change.ended - samples.origin - 72e9) < 5e8
+
+
 def test_a_base_that_was_turned_is_known_when_something_else_changes():
     """It is no column of the model: of the load that came next eight changes were told."""
     (body, samples, _), (_, base) = loaded(between=(80.0, 130.0)), turned(start=70.0)

@@ -102,13 +102,14 @@ SCRATCH = {
     'body',  # built from the description, not from the file; with pinocchio's own work space
     'left', 'right',  # changes that wait no longer
     '_rows', 'rows', '_origins',  # of horizons that are over
+    '_marks',  # what would be taken back; a detector that knows nothing yet takes nothing back
     'revision',  # another one with every change, so that predictions made before are refused
     'options', '_options', 'hyperparameters',  # estimated the first time, given the second
 }
 
 
 LAYOUT = {
-    28: {
+    29: {
         'meta': 'applied format gate joints known memory newest origin others passed_over renewal settings tools '
                 'version window_left',
         'gate': 'awake bands calm_since changed closed closed_at closed_ratio closed_since closures counts familiar '
@@ -123,7 +124,7 @@ LAYOUT = {
         'history.origin': 'i8 ()', 'history.temperature': 'f8 (70, 0)',
         'recursion.array': 'f8 (178, 40)', 'recursion.left': 'f8 (8, 40)', 'recursion.right': 'f8 (8, 178)',
         'recursion.places': 'i8 (138,)', 'recursion.waiting': 'i8 ()', 'recursion.inflation': 'f8 ()',
-        'recursion.renewed': 'i8 (2,)', 'recursion.compared': 'f8 (2, 3)',
+        'recursion.renewed': 'i8 (2,)', 'recursion.compared': 'f8 (3,)',
         'recursion.information': 'f8 (23, 23)', 'recursion.theta': 'f8 (22,)',
         'recursion.prior_information': 'f8 (22,)',
         'horizon.filled': 'i8 ()', 'horizon.start': 'i8 ()', 'horizon.rows': 'f8 (5, 242)',
@@ -143,7 +144,7 @@ LAYOUT = {
         'other1.horizon.rows': 'f8 (5, 200)',
         **{f'other{index}.{name}': layout for index in (0, 1) for name, layout in (
             ('recursion.waiting', 'i8 ()'), ('recursion.inflation', 'f8 ()'), ('recursion.renewed', 'i8 (2,)'),
-            ('recursion.compared', 'f8 (2, 3)'), ('horizon.filled', 'i8 ()'),
+            ('recursion.compared', 'f8 (3,)'), ('horizon.filled', 'i8 ()'),
             ('horizon.start', 'i8 ()'), ('horizon.origins', 'i8 (5,)'), ('calibration.table', 'f8 (11, 6)'),
             ('wandering.table', 'f8 (16, 6)'))},
         'kept.kept': 'f8 (70, 6)', 'kept.counts': 'i8 (2,)',
