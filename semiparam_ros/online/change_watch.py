@@ -693,7 +693,8 @@ class ChangeWatch:
     def returned(self) -> None:
         """The model has changed places with the one from before the last change that it learnt.
 
-        Where that one was there yet, what was just told is its end, or it ends untold; else it came again.
+        Where that one was there yet, what was just told is its end; else it came again. Of either
+        nothing may have been told yet.
         """
         self._returned_at = self._now
         followed, detector = self._followed, self.detector
@@ -701,14 +702,20 @@ class ChangeWatch:
                   if (followed is None or number < followed.change.number)
                   and not record.retracted and not record.was_applied]
         last = max(learnt, default=None, key=lambda change: change.number)
-        if last is None or last.ended is not None or detector is None:
+        if last is None or detector is None:
             return
         if followed is not None:
-            self._end(last.number, followed.change.number)
+            if last.ended is None:
+                self._end(last.number, followed.change.number)
+            return
+        since = min(detector.touched_at, self._now - round(LEAST_COMPARED_S * NANOSECONDS))
+        if last.ended is None:
+            self._record(last._replace(noticed=self._now, ended=since))
         else:
-            compared = self._now - round(LEAST_COMPARED_S * NANOSECONDS)
-            self._record(last._replace(noticed=self._now, ended=min(detector.touched_at, compared)))
-            detector.reset()
+            detector.number += 1
+            self._record(last._replace(number=detector.number, since=since, noticed=self._now, ended=None,
+                                       touched=since))
+        detector.reset()
 
     def _end(self, number: int, by: int) -> None:
         """A change that was learnt is over since another one began, which is none of its own."""

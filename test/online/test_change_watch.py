@@ -77,9 +77,11 @@ def test_with_report_the_model_follows_a_load_at_once_and_returns(variant):
     assert last[2].sentence.endswith(': what came or went is change 1.')
 
 
-def test_a_model_that_returns_before_anything_is_told_ends_what_it_learnt(monkeypatch):
-    """Nobody said that the load was gone, until the detector told its end as a change of its own."""
-    body, samples, _ = loaded()
+def test_a_model_that_returns_before_anything_is_told_tells_the_end_and_that_it_came_again(monkeypatch):
+    """The detector took the model that had returned for one that had learnt, and nothing was told."""
+    (body, samples, mass), (_, later, _) = loaded(), loaded((112.0, 130.0))
+    again = samples.time >= 112.0
+    samples = replace(samples, outputs=np.where(again[:, None], later.outputs, samples.outputs))
     stage = offered(body, samples[samples.time < LOADED_S[0] + 14.0])
     watch = stage.learner.changes
     assert [record.change.ended for record in watch.records.values()] == [None]
@@ -90,6 +92,11 @@ def test_a_model_that_returns_before_anything_is_told_ends_what_it_learnt(monkey
     assert stage.learner.estimator.returns == 1 and record.effect.kind == 'payload'
     assert abs(record.change.ended - samples.origin - LOADED_S[1] * 1e9) < 1e9
     assert watch.state == 'as it was'
+    stage.offer(samples[(samples.time >= 105.0) & (samples.time < 125.0)])
+    _, record = watch.records.values()
+    assert stage.learner.estimator.returns == 2 and record.change.ended is None
+    assert abs(record.change.since - samples.origin - 112e9) < 1e9
+    assert record.effect.kind == 'payload' and abs(record.named.parameters['mass'].value - mass) < 0.1 * mass
 
 
 @pytest.mark.parametrize('kind', ['sensor_offset', 'effort_offset', 'friction', 'payload', 'zero_slip', ''])
