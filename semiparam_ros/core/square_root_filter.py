@@ -69,7 +69,7 @@ class SquareRootFilter:
 
     def begin(self, deviation: float | None, estimates: Array) -> None:
         """Start anew, Theta' from estimates (q, D); where no deviation is given S stays."""
-        if deviation is None:
+        if deviation is None and self.root.waiting:
             self._settle()
         root, size, used = self.root, self.size, estimates.any(axis=1)
         placed = int(used.sum())
@@ -150,7 +150,7 @@ class SquareRootFilter:
         """M takes in the changes that wait."""
         root = self.root
         array, left, right = root.array.T, root.left[:root.waiting].T, root.right[:root.waiting].T
-        width, end = max(1, BLOCK_ELEMENTS // max(1, self.size)), self.size + root.placed
+        width, end = max(1, BLOCK_ELEMENTS // self.size), self.size + root.placed
         for start in range(0, end, width):
             block = slice(start, min(start + width, end))
             dgemm(1.0, left, right[block], beta=1.0, c=array[:, block], trans_b=1, overwrite_c=1)

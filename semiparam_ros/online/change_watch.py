@@ -4,10 +4,10 @@ What was noticed (:mod:`semiparam_ros.online.changes`) is named from the samples
 (:mod:`semiparam_ros.diagnosis.change`), again and again as more of them come, beside what the model
 declares and the changes that were named before.
 
-The model follows what was told. With ``diagnosis.auto: apply`` what was named is tried beside the
-model instead, applied, and taken back when it is over (:mod:`semiparam_ros.online.applied_effects`).
-Meanwhile nothing is learnt of samples that stand out, so that what was learnt stays that of the
-robot before the change.
+Of samples that stand out nothing is learnt before it is told what they are, so that what was learnt
+stays that of the robot before the change. Then the model follows what was told. With
+``diagnosis.auto: apply`` what was named is tried beside the model instead, applied, and taken back
+when it is over (:mod:`semiparam_ros.online.applied_effects`).
 """
 
 from __future__ import annotations

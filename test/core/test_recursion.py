@@ -132,7 +132,7 @@ def test_a_change_along_directions_adds_their_covariance(case, rank):
     std = case['gamma'] * np.linspace(0.5, 2, p)
     ours = SemiParametricRecursion(n, d, std, case['rho'], case['sigma'], None, case['forgetting'])
     dense = Dense(n, d, std, case['rho'], case['sigma'], np.zeros(p), case['forgetting'])
-    directions = np.random.default_rng(case['seed']).standard_normal((p, rank))
+    directions, changed = np.random.default_rng(case['seed']).standard_normal((p, rank)), False
     for index, row in enumerate(zip(phi, columns, outputs, strict=True)):
         if index in case['changes']:
             known, before = unknowns(ours), ours.predict(*row[:2])
@@ -140,6 +140,11 @@ def test_a_change_along_directions_adds_their_covariance(case, rank):
             dense.covariance[:p, :p] += directions @ directions.T
             np.testing.assert_allclose(unknowns(ours), known, **SAME)
             np.testing.assert_allclose(ours.predict(*row[:2]).mean, before.mean, **SAME)
+            if d and p and not changed:  # how the weights to expect follow theta
+                along = np.linalg.solve(dense.covariance[:p, :p], dense.covariance[:p, p:]).reshape(p, n, d)
+                slopes = ours._weights.estimates().reshape(n, p + 1, d)[:, :-1]
+                np.testing.assert_allclose(-slopes.swapaxes(0, 1), along, rtol=1e-6, atol=1e-6 * np.abs(along).max())
+            changed = True
         prior = ours.predict(*row[:2])
         if not d:
             np.testing.assert_allclose(prior.covariance, dense.predict(*row[:2])[1], **SAME)

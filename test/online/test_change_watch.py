@@ -99,6 +99,19 @@ def test_a_model_that_returns_before_anything_is_told_tells_the_end_and_that_it_
     assert record.effect.kind == 'payload' and abs(record.named.parameters['mass'].value - mass) < 0.1 * mass
 
 
+@pytest.mark.parametrize(('ago', 'follows'), [(0.2, None), (-0.01, Learning.AFTER_LOAD)])
+def test_what_the_model_has_returned_from_is_not_followed_when_it_is_told(ago, follows, monkeypatch):
+    """The detector may tell later than the model returns; it would be unsure of the load that it knows."""
+    body, samples = free()
+    stage = offered(body, samples[samples.time < 50.0])
+    watch = stage.learner.changes
+    watch._returned_at = watch._now
+    change = Change(1, watch._now - round(ago * 1e9), watch._now, 'payload', 'r_gripper', 0.2, 0.01, 20.0, ())
+    monkeypatch.setattr(ChangeDetector, 'see', lambda *_: change)
+    stage.offer(samples[(samples.time >= 50.0) & (samples.time < 50.05)])
+    assert watch.follows == follows and list(watch.records) == [1]
+
+
 @pytest.mark.parametrize('kind', ['sensor_offset', 'effort_offset', 'friction', 'payload', 'zero_slip', ''])
 @pytest.mark.parametrize('outputs', ['wrench', 'effort'])
 def test_what_was_told_alone_is_in_doubt(kind, outputs):

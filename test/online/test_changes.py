@@ -10,6 +10,7 @@ from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.model import ModelOptions
 from semiparam_ros.diagnosis.change import gain_since, name_change
 from semiparam_ros.effects import effect_from_text
+from semiparam_ros.online.change_causes import Judged
 from semiparam_ros.online.changes import LENGTHS, USUAL, ChangeDetector
 from semiparam_ros.online.diagnosis_jobs import diagnose
 from semiparam_ros.online.history import batch_of
@@ -78,6 +79,17 @@ def test_a_second_change_is_one_change():
     assert {change.number for change in found} == {1, 2}
     assert (found[-1].kind, found[-1].ended) == ('base_shift', None)
     assert abs((found[-1].touched - samples.origin) * 1e-9 - 84.0) < 0.2
+
+
+def test_a_change_that_is_judged_anew_began_when_it_began():
+    """A window of its last half second says what it is: the load was told as of two seconds later."""
+    body, samples, _ = loaded()
+    stage = offered(body, samples[samples.time < LOADED_S[0] + 3.0])
+    detector, (first, *_) = stage.learner.changes.detector, stage.changes
+    offset = detector.causes[1]
+    size = offset.part.stop - offset.part.start
+    anew = detector._change(1, Judged(offset, 2, np.zeros(size), np.eye(size), 20.0))
+    assert (anew.number, anew.kind, anew.since) == (first.change.number, 'sensor_offset', first.change.since)
 
 
 def test_a_change_that_lasts_is_not_over_though_it_looks_like_noise(monkeypatch):

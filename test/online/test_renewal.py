@@ -12,7 +12,7 @@ from semiparam_ros.core.samples import Sample
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.experiments.evaluation import OfflineLearner
 from semiparam_ros.online.history import batch_of
-from semiparam_ros.online.learning import Learning
+from semiparam_ros.online.learning import Learning, directions_of
 from semiparam_ros.online.model_jobs import known_of, new_estimator, renew
 from semiparam_ros.online.model_switcher import same_model
 from semiparam_ros.online.renewal import Errors, RecentWindow, later_window
@@ -107,12 +107,16 @@ def test_a_draft_does_not_wait_where_a_whole_window_must(monkeypatch):
 
 
 @pytest.mark.parametrize('effects', [(), ('sensor_drift',)])
-@pytest.mark.parametrize(('draft', 'every', 'changed'), [(False, 5, 0), (True, 23, 0), (False, 5, 60), (True, 17, 60)])
-def test_older_motion_does_not_outvote_the_window_nor_delay_its_draft(draft, every, changed, effects, monkeypatch):
+@pytest.mark.parametrize(('draft', 'every', 'changed', 'fate'), [
+    (False, 5, 0, Learning.YES), (True, 23, 0, Learning.YES), (False, 5, 60, Learning.AFTER_CHANGE),
+    (True, 17, 60, Learning.AFTER_CHANGE), (False, 5, 60, Learning.AFTER_LOAD),
+    (False, 5, 60, Learning.AFTER_FRICTION)])
+def test_older_motion_does_not_outvote_the_window_nor_delay_its_draft(draft, every, changed, fate, effects,
+                                                                      monkeypatch):
     """Of what was learnt before it, a fifth is learnt again; of a draft at most so many, however long the life. Of a
     robot that has changed since it is kept apart, to return to: a load was put down, and nothing was left of that."""
     monkeypatch.setattr('semiparam_ros.online.model_jobs.OLDER_OF_DRAFT', 10)
-    pairs = [(sample, Learning.AFTER_CHANGE if changed and number == changed else Learning.YES)
+    pairs = [(sample, fate if changed and number == changed else Learning.YES)
              for number, sample in enumerate(DAY[:330])]
     settings = replace(SLOWER, effects=effects)
     renewed = renew(settings, BODY, batch_of(pairs), DAY[0].stamp, RecentWindow(100, draft=draft))
@@ -120,7 +124,7 @@ def test_older_motion_does_not_outvote_the_window_nor_delay_its_draft(draft, eve
     first = 6 if draft else 5
     for number, (sample, _) in enumerate(pairs):
         if number == changed > 0:
-            expected.follow_change()
+            expected.follow_change(directions_of(fate, expected.columns))
         begin, step = (changed, every) if number >= changed else (0, first)
         if number >= 230 or (number - begin) % step == 0:
             expected.observe(expected.predict(sample))
