@@ -147,19 +147,21 @@ class Ensemble:
             self.carried.begin_block(stamp, [each.coefficients() for each in self.models])
 
     def compare(self, prediction: Prediction) -> bool:
-        """Return to what was known before the last change of the robot, if one of the models predicts
-        better by that; whether it did."""
-        if not prediction.motion.is_news:
-            return False
-        as_before = [model.compare(prediction.sample, its)
-                     for model, its in zip(self.models, prediction.members, strict=True)]
-        return any(as_before) and self._return()
+        """Whether one of the models predicts better by what was known before the last change of the
+        robot, since a second."""
+        return any([model.compare(prediction.sample, its)
+                    for model, its in zip(self.models, prediction.members, strict=True)])
 
-    def _return(self) -> bool:
+    @property
+    def as_before(self) -> bool:
+        """Whether one of them does where the robot is told to have changed."""
+        return any(each.model.recursion.as_before for each in self.models)
+
+    def go_back(self) -> None:
+        """The robot is as before its last change: see :meth:`OnlineModel.go_back`."""
         for each in self.models:
             each.go_back()
         self.clear_horizons()
-        return True
 
     def mark(self, stamp: int, keep: bool) -> None:
         """Copy what was learnt until a stamp [ns], where the last copy is old enough.
@@ -171,22 +173,18 @@ class Ensemble:
         elif not self._marks or not 0 <= stamp - self._marks[-1][0] < MARK_NS:
             self._marks.append((stamp, [each.model.recursion.state() for each in self.models]))
 
-    def go_back(self) -> None:
+    def take_back(self) -> None:
         """Take back what was learnt since the oldest mark."""
         if self._marks:
             for each, state in zip(self.models, self._marks[0][1], strict=True):
                 each.model.recursion.restore(state)
             self.clear_horizons()
 
-    def follow_change(self, directions: Array | None) -> bool:
-        """The robot has changed: see :meth:`OnlineModel.follow_change`; whether into what it was before
-        the last change."""
+    def follow_change(self, directions: Array | None) -> None:
+        """The robot has changed: see :meth:`OnlineModel.follow_change`."""
         self.carried.interrupt()
-        if any(each.model.recursion.as_before for each in self.models):
-            return self._return()
         for each in self.models:
             each.follow_change(directions)
-        return False
 
     def clear_horizons(self) -> None:
         """Forget half-finished horizons, and what the models would go back to."""

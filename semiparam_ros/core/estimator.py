@@ -130,8 +130,6 @@ class Estimator:
         self.ready, self.window_samples = given is not None, window
         self.marks = False
         """Whether what was learnt is copied, so that it can be taken back."""
-        self.returns = 0
-        """How often the robot was again as before its last change."""
         if given is None:
             self.ensemble = self._provisional()
         else:
@@ -216,15 +214,27 @@ class Estimator:
             if self.ready and prediction.motion.is_news:
                 self.ensemble.charge_left_out(prediction)
             self.ensemble.mark(sample.stamp, self.marks)
-        self.returns += self.ensemble.compare(prediction)
         if learn and prediction.begins_step and not self.ready and not self.window.full:
             self.window.append(sample, prediction.columns)
         if finish and self.window_full:
             self.finish_window()
         return complete
 
-    def go_back(self) -> None:
+    def take_back(self) -> None:
         """Take back what was learnt in the last half second, or a little more, where that is :attr:`marks`."""
+        self.ensemble.take_back()
+
+    def compare(self, prediction: Prediction) -> bool:
+        """Whether what was known before the last change predicts better since a second, this sample included."""
+        return prediction.motion.is_news and self.ensemble.compare(prediction)
+
+    @property
+    def as_before(self) -> bool:
+        """Whether it does where the robot is told to have changed."""
+        return self.ensemble.as_before
+
+    def go_back(self) -> None:
+        """See :meth:`~semiparam_ros.core.recursion.SemiParametricRecursion.go_back`."""
         self.ensemble.go_back()
 
     def follow_change(self, directions: Array | None = None) -> None:
@@ -232,7 +242,7 @@ class Estimator:
 
         :param directions: (q, k) of the columns without those of effects; None: any change.
         """
-        self.returns += self.ensemble.follow_change(directions)
+        self.ensemble.follow_change(directions)
 
     def gather(self, sample: Sample, learn: bool = True) -> None:
         """Take a sample into the initial window alone: the rigid body neither answers nor learns it.

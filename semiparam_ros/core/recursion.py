@@ -233,9 +233,10 @@ class SemiParametricRecursion:
         return bool(self._compared[2] >= LEAST_TOLD_S)
 
     def go_back(self) -> None:
-        """Change places with the model from before, where there is one."""
+        """Change places with the model from before; where there is none, the robot has changed."""
         before, self._compared = self.before, np.zeros(3)
         if before is None:
+            self.follow_change()
             return
         for name in _LEARNT:
             mine, its = getattr(self, name), getattr(before, name)

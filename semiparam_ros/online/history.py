@@ -39,8 +39,8 @@ class Rows(NamedTuple):
     learnt: Codes  # (N,) what became of each, see Learning
     temperature: Array  # (N, k)
 
-    def part(self, chosen: slice) -> Rows:
-        """Some of them, not copied."""
+    def part(self, chosen: slice | Mask) -> Rows:
+        """Some of them; those of a slice are not copied."""
         return Rows(self.stamps[chosen], self.values[chosen], self.learnt[chosen], self.temperature[chosen])
 
     def copy(self) -> Rows:
@@ -101,6 +101,12 @@ class SampleBatch:
                 start += -(-(end - start) // step) * step
             start, stop = start - len(rows.stamps), stop - len(rows.stamps)
         return replace(self, rows=chosen)
+
+    def chosen(self, mask: Mask) -> SampleBatch:
+        """Those of a mask (N,), copied."""
+        ends = np.cumsum([len(rows.stamps) for rows in self.rows])[:-1]
+        return replace(self, rows=[rows.part(part) for rows, part in
+                                   zip(self.rows, np.split(mask, ends), strict=True)])
 
 
 class SampleLog:

@@ -175,7 +175,8 @@ class Learner:
             self._listener.announce(
                 f'the contact gate opens after {self.settings.gate_timeout:g} s: what lasts so long is '
                 'a change of the robot, and is learnt.')
-        learning = learning_of(prediction, self.settings.learning and not contact, self.gate, self.changes)
+        learns = self.settings.learning and not contact
+        learning = learning_of(self.estimator, prediction, learns, self.gate, self.changes)
         self.gate.changed &= learning in (Learning.NO_NEWS, Learning.NO)
         self.changes.follows = self.changes.follows if learning in (Learning.NO_NEWS, Learning.NO) else None
         self.changes.begins_to_hold &= learning != Learning.TAKEN_BACK
@@ -250,7 +251,7 @@ class Learner:
 
     def _observe(self, prediction: Prediction, learning: Learning) -> bool:
         """Tell whether the active model has taken it in; it is broken where it has not."""
-        returns, passed_over = self.estimator.returns, self.estimator.passed_over
+        passed_over = self.estimator.passed_over
         try:
             errors = observe(self.estimator, prediction, learning, finish=False)
         except SemiparamError:
@@ -262,7 +263,7 @@ class Learner:
         passed = self.estimator.passed_over - passed_over
         self.passed_over += passed
         self.learnt -= passed
-        if self.estimator.returns > returns:
+        if learning == Learning.RETURNED:
             self.changes.returned()
             self._listener.announce(
                 'the robot is again as it was before its last change: what was learnt then goes on.')

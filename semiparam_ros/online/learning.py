@@ -12,7 +12,7 @@ from semiparam_ros.core.columns import CoupledColumns
 from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.horizon_error import HorizonErrors
 from semiparam_ros.core.prediction import Prediction
-from semiparam_ros.core.types import Array
+from semiparam_ros.core.types import Array, Codes, Mask
 from semiparam_ros.effects.loads import Payload
 from semiparam_ros.online.change_causes import OF_FRICTION, friction_directions, load_directions
 from semiparam_ros.online.contact_gate import ContactGate
@@ -28,6 +28,8 @@ OFF, APPLY = 'off', 'apply'
 class Learning(IntEnum):
     """Fate of one sample; above zero where it is learnt."""
 
+    RETURNED = -4
+    """As OFFSET: with it the robot is as before its last change, and the model returns to what it knew then."""
     TAKEN_BACK = -3
     """As OFFSET, the first of them: what stands out began before it was seen, so what was learnt in the last half
     second is taken back."""
@@ -47,7 +49,7 @@ class Learning(IntEnum):
     """The same after friction or an offset became another one."""
 
 
-def learning_of(prediction: Prediction, learn: bool, gate: ContactGate,
+def learning_of(estimator: Estimator, prediction: Prediction, learn: bool, gate: ContactGate,
                 changes: ChangeWatch) -> Learning:
     """Fate of a sample which the model in force has predicted and the gate has just judged.
 
@@ -55,10 +57,13 @@ def learning_of(prediction: Prediction, learn: bool, gate: ContactGate,
     """
     if not prediction.motion.is_news:
         return Learning.NO_NEWS
+    after = Learning.AFTER_CHANGE if gate.changed else changes.follows
+    follows = learn and after is not None and not changes.holds
+    if estimator.compare(prediction) or (follows and estimator.as_before):
+        return Learning.RETURNED
     if learn and changes.holds:
         return Learning.TAKEN_BACK if changes.begins_to_hold else Learning.OFFSET
-    after = Learning.AFTER_CHANGE if gate.changed else changes.follows
-    return after if learn and after is not None else Learning(learn)
+    return after if follows and after is not None else Learning(learn)
 
 
 def observe(estimator: Estimator, prediction: Prediction, learning: int, finish: bool = True) -> HorizonErrors | None:
@@ -66,19 +71,25 @@ def observe(estimator: Estimator, prediction: Prediction, learning: int, finish:
     motion, is_news = prediction.motion, learning != Learning.NO_NEWS
     if motion.is_news != is_news:
         prediction = prediction._replace(motion=motion._replace(is_news=is_news))
-    follow = learning in (Learning.OFFSET, Learning.TAKEN_BACK)
+    follow = learning in (Learning.OFFSET, Learning.TAKEN_BACK, Learning.RETURNED)
     complete = estimator.observe(prediction, learning > 0, finish, follow)
     if learning == Learning.TAKEN_BACK:
-        estimator.go_back()
-    else:
-        follow_change(estimator, learning)
+        estimator.take_back()
+    follow_change(estimator, learning)
     return complete
 
 
 def follow_change(estimator: Estimator, learning: int) -> None:
     """Let a model follow the change that is told with a sample, if any is."""
-    if learning >= Learning.AFTER_CHANGE:
+    if learning == Learning.RETURNED:
+        estimator.go_back()
+    elif learning >= Learning.AFTER_CHANGE:
         estimator.follow_change(directions_of(learning, estimator.columns))
+
+
+def is_change(learning: Codes) -> Mask:
+    """(N,) which samples came with a change of the robot that was followed, or its end."""
+    return (learning >= Learning.AFTER_CHANGE) | (learning == Learning.RETURNED)
 
 
 def directions_of(learning: int, columns: CoupledColumns) -> Array | None:

@@ -14,7 +14,7 @@ from semiparam_ros.core.initial_window import beginning_steps
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online.history import SampleBatch
-from semiparam_ros.online.learning import OFF, Learning, follow_change, observe
+from semiparam_ros.online.learning import OFF, Learning, follow_change, is_change, observe
 from semiparam_ros.online.renewal import MOST_WORSE, Errors, RecentWindow, judged, later_window
 from semiparam_ros.settings.build import declared_effects, hyperparameter_values, model_options
 from semiparam_ros.settings.snapshot import Settings
@@ -73,22 +73,20 @@ def renew(settings: Settings, body: RigidBody, batch: SampleBatch, origin: int |
     estimator, errors = new_estimator(settings, body, known_of(gathering), origin), Errors(body.n_outputs)
     estimator.marks |= bool((learning == Learning.TAKEN_BACK).any())
     compared = later_window(learnt, judged(later.samples))
-    changed = np.flatnonzero(learning[:begin] >= Learning.AFTER_CHANGE)
-    since = int(changed[-1]) if len(changed) else 0
+    changes = np.flatnonzero(is_change(learning[:begin]))
+    fates = dict(zip(changes.tolist(), learning[changes].tolist(), strict=True))
+    since = max(fates, default=0)
     first, every = (max(OLDER, -(-count // OLDER_OF_DRAFT)) if later.draft else OLDER
                     for count in (since, begin - since))
     older = np.zeros(begin, dtype=bool)
-    older[:since:first] = older[since::every] = True
-    fate = int(learning[since])
+    older[:since:first] = older[since::every] = older[changes] = True
     learning[:begin] = np.minimum(learning[:begin], np.where(older, Learning.YES, Learning.NO))
-    before = min(since, start)
-    parts = [*batch.part(0, before, first).rows, *batch.part(since, start, every).rows, *batch.part(start).rows]
-    numbers = np.r_[:before:first, since:start:every, start:len(batch)]
-    each = zip(numbers.tolist(), replace(batch, rows=parts).pairs(), learning[numbers].tolist(),
-               compared[numbers].tolist(), strict=True)
+    learning[:begin][learning[:begin] == Learning.RETURNED] = Learning.NO
+    replayed = np.append(older[:start], np.ones(len(batch) - start, dtype=bool))
+    each = zip(np.flatnonzero(replayed).tolist(), batch.chosen(replayed).pairs(), learning[replayed].tolist(),
+               compared[replayed].tolist(), strict=True)
     for number, (sample, _), learns, chosen in each:
-        if number == since > 0:
-            follow_change(estimator, fate)
+        follow_change(estimator, fates.get(number, Learning.NO))
         prediction = estimator.predict(sample)
         if chosen:
             errors.add(prediction)

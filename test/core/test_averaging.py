@@ -245,13 +245,19 @@ def test_members_return_from_a_change_with_their_horizons_and_a_state_holds_what
     twin = pickle.loads(pickle.dumps(model))
     model.restore(pickle.loads(pickle.dumps(twin.state())))
     steps, returns = [], []
-    for sample in later[COUNT:]:
-        steps.append(model.step(sample))
-        returns.append(model.returns)
-        np.testing.assert_array_equal(steps[-1].mean, twin.step(sample).mean)
-    assert returns[0] == 0 and model.returns == 1, 'all of them at once'
-    for place in np.flatnonzero(np.diff(returns)) + 1:
-        assert all(step.horizon is None for step in steps[place + 1:place + 5]), 'none is pending'
+    for number, sample in enumerate(later[COUNT:]):
+        for each in (model, twin):
+            prediction = each.predict(sample)
+            as_before = each.compare(prediction)
+            steps.append(prediction._replace(horizon=each.observe(prediction)))
+            if as_before:
+                each.go_back()
+                returns += [number]
+        twins_own = steps.pop()
+        np.testing.assert_array_equal(steps[-1].mean, twins_own.mean)
+    (place, _) = returns  # of the model and its twin, all members at once
+    assert place > 0
+    assert all(step.horizon is None for step in steps[place + 1:place + 5]), 'none is pending'
     offset = np.abs(steps[place + 1].mean - steps[place + 1].model_mean)
     assert (offset < 0.1 * load).all(), 'what followed the errors of the other model is forgotten'
     assert (error(steps[COUNT // 2:]) < 0.3 * load**2).all() and steps[-1].horizon is not None
