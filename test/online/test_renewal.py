@@ -107,29 +107,36 @@ def test_a_draft_does_not_wait_where_a_whole_window_must(monkeypatch):
 
 
 @pytest.mark.parametrize('effects', [(), ('sensor_drift',)])
-@pytest.mark.parametrize(('draft', 'every', 'changed', 'fate'), [
-    (False, 5, 0, Learning.YES), (True, 23, 0, Learning.YES), (False, 5, 60, Learning.AFTER_CHANGE),
-    (True, 17, 60, Learning.AFTER_CHANGE), (False, 5, 60, Learning.AFTER_LOAD),
-    (False, 5, 60, Learning.AFTER_FRICTION)])
-def test_older_motion_does_not_outvote_the_window_nor_delay_its_draft(draft, every, changed, fate, effects,
-                                                                      monkeypatch):
+@pytest.mark.parametrize(('draft', 'every', 'changed', 'fate', 'returned'), [
+    (False, 5, 0, Learning.YES, 0), (True, 23, 0, Learning.YES, 0), (False, 5, 60, Learning.AFTER_CHANGE, 0),
+    (True, 17, 60, Learning.AFTER_CHANGE, 0), (False, 5, 60, Learning.AFTER_LOAD, 0),
+    (False, 5, 60, Learning.AFTER_FRICTION, 0), (False, 5, 60, Learning.AFTER_LOAD, 150),
+    (False, 5, 60, Learning.AFTER_LOAD, 260), (True, 8, 60, Learning.AFTER_LOAD, 150)])
+def test_older_motion_does_not_outvote_the_window_nor_delay_its_draft(draft, every, changed, fate, returned,
+                                                                      effects, monkeypatch):
     """Of what was learnt before it, a fifth is learnt again; of a draft at most so many, however long the life. Of a
     robot that has changed since it is kept apart, to return to: a load was put down, and nothing was left of that."""
     monkeypatch.setattr('semiparam_ros.online.model_jobs.OLDER_OF_DRAFT', 10)
     pairs = [(sample, fate if changed and number == changed else Learning.YES)
              for number, sample in enumerate(DAY[:330])]
+    if returned:
+        pairs[returned] = DAY[returned], Learning.RETURNED
     settings = replace(SLOWER, effects=effects)
     renewed = renew(settings, BODY, batch_of(pairs), DAY[0].stamp, RecentWindow(100, draft=draft))
     expected = new_estimator(settings, BODY, known_of(renewed), DAY[0].stamp)
-    first = 6 if draft else 5
+    window = 230 - (returned > 230)  # of 100 that are learnt
+    last = returned if 0 < returned < window else changed
+    first = max(5, last // 10) if draft else 5
     for number, (sample, _) in enumerate(pairs):
         if number == changed > 0:
             expected.follow_change(directions_of(fate, expected.columns))
-        begin, step = (changed, every) if number >= changed else (0, first)
-        if number >= 230 or (number - begin) % step == 0:
-            expected.observe(expected.predict(sample))
-        elif effects:  # they may remember what is not learnt
-            expected.observe(expected.predict(sample), False)
+        begin, step = (last, every) if number >= last else (0, first)
+        learnt = number >= window or (number - begin) % step == 0 or number == changed
+        if number == returned > 0:
+            expected.observe(expected.predict(sample), False, follow=number >= window)
+            expected.go_back()
+        elif learnt or effects:  # they may remember what is not learnt
+            expected.observe(expected.predict(sample), learnt)
     for sample in DAY[330:340]:
         np.testing.assert_allclose(renewed.predict(sample)[:2], expected.predict(sample)[:2], rtol=1e-9)
     assert (renewed.model.recursion.before is not None) == bool(changed)
