@@ -136,6 +136,8 @@ class SemiParametricRecursion:
         self._compared: Array = np.zeros(3)
         """Squared errors of this model and of :attr:`before`, and seconds, since their share was last
         ``BACK``."""
+        self._doubted: Array = np.zeros((self.n_columns, self.n_columns))
+        """L of the last change, zero where it left everything in doubt."""
         self._prior_information: Array = self._prior_std**-2
         """(p,) of R'R, what is the prior's and not the samples': it is forgotten and renewed."""
         self._regression = Regression(self._prior_root(), self.scale, self.sigma,
@@ -188,11 +190,17 @@ class SemiParametricRecursion:
         """
         self.before, self._compared = None, np.zeros(3)
         self.before = deepcopy(self)
+        self._doubted = np.zeros((self.n_columns, self.n_columns))
         if directions is None:
-            information, kept = self._prior_root(), np.zeros((self.n_columns, self.n_columns))
-            self._prior_information, deviation = self._prior_std**-2, self.rho
+            self._prior_information = self._prior_std**-2
+            self._go_on(self._prior_root(), np.zeros_like(self._doubted), self.rho)
         else:
-            (information, kept), deviation = self._moved(directions), None
+            triangle = np.asarray(np.linalg.qr(directions.T, mode='r')).T
+            self._doubted[:, :triangle.shape[1]] = triangle
+            self._go_on(*self._moved())
+
+    def _go_on(self, information: Array, kept: Array, deviation: float | None = None) -> None:
+        """Go on with R of theta; the weights to expect follow theta by G (p, p) of what they did."""
         estimates = self._weights.estimates().reshape(self.n_outputs, self.n_columns + 1, self.n_features)
         of_columns = estimates[:, :-1].copy()
         estimates[:, :-1] = np.einsum('cd,ncf->ndf', kept, of_columns)
@@ -201,13 +209,13 @@ class SemiParametricRecursion:
         self._regression = self._regression._replace(information=information)
         self.revise()
 
-    def _moved(self, directions: Array) -> tuple[Array, Array]:
+    def _moved(self) -> tuple[Array, Array]:
         """(p + 1, p + 1) R of theta + L delta, and (p, p) G = P (P + L L')^-1 with P = (R'R)^-1.
 
         Of what is known of theta G (theta' - theta) goes on. With R L = U s V' the new R'R is
         R' (I - U s^2 / (1 + s^2) U') R, and G = I - L V s / (1 + s^2) U' R.
         """
-        root, along = self._regression.information[:-1, :-1], directions[::-1]
+        root, along = self._regression.information[:-1, :-1], self._doubted[::-1]
         left, s, right = np.linalg.svd(root @ along, full_matrices=False)
         shrunk = root - left @ ((1.0 - 1.0 / np.sqrt(1.0 + s**2))[:, None] * (left.T @ root))
         kept = np.eye(self.n_columns) - along @ right.T @ ((s / (1.0 + s**2))[:, None] * (left.T @ root))
@@ -242,6 +250,8 @@ class SemiParametricRecursion:
             mine, its = getattr(self, name), getattr(before, name)
             setattr(self, name, its)
             setattr(before, name, mine)
+        if self._doubted.any():
+            self._go_on(*self._moved())
         self.revise()
 
     @property
@@ -296,7 +306,7 @@ class SemiParametricRecursion:
         before = {} if self.before is None else self.before.state()
         return {**self._weights.state(), 'renewed': np.array([self._renewed, self.compared_at]),
                 'compared': self._compared.copy(),
-                'information': self._regression.information.copy(),
+                'information': self._regression.information.copy(), 'doubted': self._doubted.copy(),
                 'prior_information': self._prior_information.copy(), 'theta': self.theta.copy(),
                 **{f'before.{name}': values for name, values in before.items()}}
 
@@ -320,6 +330,7 @@ class SemiParametricRecursion:
         self._compared = np.array(state['compared'], dtype=float)
         self._regression = self._regression._replace(
             information=np.array(state['information'], dtype=float, order='C'))
+        self._doubted = np.array(state['doubted'], dtype=float)
         self._prior_information = np.array(state['prior_information'], dtype=float)
         self.theta = np.array(state['theta'], dtype=float)
         self.before = None
