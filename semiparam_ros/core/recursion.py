@@ -241,7 +241,10 @@ class SemiParametricRecursion:
         return bool(self._compared[2] >= LEAST_TOLD_S)
 
     def go_back(self) -> None:
-        """Change places with the model from before; where there is none, the robot has changed."""
+        """Change places with the model from before; where there is none, the robot has changed.
+
+        What the change had put in doubt is so again: the load that comes may be another one.
+        """
         before, self._compared = self.before, np.zeros(3)
         if before is None:
             self.follow_change()

@@ -155,6 +155,26 @@ def test_a_change_along_directions_adds_their_covariance(case, rank):
         np.testing.assert_allclose(ours.theta_covariance(), dense.covariance[:p, :p], **SAME)
 
 
+@pytest.mark.parametrize('d', [0, 7])
+def test_what_returns_answers_as_before_and_is_in_doubt_along_the_same_directions(d):
+    (phi, columns, outputs), directions = problem(3, 60, 2, d, 5), np.random.default_rng(0).standard_normal((5, 2))
+    model, left = SemiParametricRecursion(2, d, np.ones(5), 1.0, 0.1), []
+    for part in range(3):
+        for row in zip(phi[20 * part:][:20], columns[20 * part:][:20], outputs[20 * part:][:20], strict=True):
+            model.learn(model.predict(*row[:2]), row[2] + part)
+        left.append((unknowns(model), model.theta_covariance(), model.predict(phi[0], columns[0])))
+        if part:
+            model.go_back()
+            known, covariance, prior = left[part - 1]
+            np.testing.assert_allclose(unknowns(model), known, **SAME)
+            np.testing.assert_allclose(model.theta_covariance(), covariance + directions @ directions.T, **SAME)
+            now = model.predict(phi[0], columns[0])
+            np.testing.assert_allclose(now.mean, prior.mean, **SAME)
+            assert (now.std > prior.std).all()
+        else:
+            model.follow_change(directions)
+
+
 def test_outputs_of_different_scales_are_those_of_one_scale_in_other_units():
     phi, columns, outputs = problem(6, 40, 3, 5, 4)
     scale, known = np.array([0.01, 3.0, 200.0]), np.random.default_rng(0).normal(size=(40, 3))
