@@ -138,8 +138,8 @@ class SemiParametricRecursion:
         ``BACK``."""
         self._doubted: Array = np.zeros((self.n_columns, self.n_columns))
         """L of the last change, zero where it left everything in doubt."""
-        self._prior_information: Array = self._prior_std**-2
-        """(p,) of R'R, what is the prior's and not the samples': it is forgotten and renewed."""
+        self._prior_information: Array = np.diag(self._prior_std**-2)
+        """(p, p) of R'R, what is the prior's and not the samples': it is forgotten and renewed."""
         self._regression = Regression(self._prior_root(), self.scale, self.sigma,
                                       self.sigma * sqrt(autocorrelation_time))
         self._nothing_known = np.zeros(n_outputs)
@@ -192,12 +192,21 @@ class SemiParametricRecursion:
         self.before = deepcopy(self)
         self._doubted = np.zeros((self.n_columns, self.n_columns))
         if directions is None:
-            self._prior_information = self._prior_std**-2
+            self._prior_information = np.diag(self._prior_std**-2)
             self._go_on(self._prior_root(), np.zeros_like(self._doubted), self.rho)
         else:
             triangle = np.asarray(np.linalg.qr(directions.T, mode='r')).T
             self._doubted[:, :triangle.shape[1]] = triangle
-            self._go_on(*self._moved())
+            self._doubt()
+
+    def _doubt(self) -> None:
+        """Theta has become theta + L delta: P + L L' stands for P, also for that under white noise."""
+        white = self.theta_covariance(white=True) + self._doubted @ self._doubted.T
+        self._go_on(*self._moved())
+        r = (self._regression.tempered_sigma / self.sigma) ** 2
+        if r > 1.0:
+            root = self.theta_root()
+            self._prior_information = (r * root.T @ root - np.linalg.inv(white)) / (r - 1.0)
 
     def _go_on(self, information: Array, kept: Array, deviation: float | None = None) -> None:
         """Go on with R of theta; the weights to expect follow theta by G (p, p) of what they did."""
@@ -254,7 +263,7 @@ class SemiParametricRecursion:
             setattr(self, name, its)
             setattr(before, name, mine)
         if self._doubted.any():
-            self._go_on(*self._moved())
+            self._doubt()
         self.revise()
 
     @property
@@ -295,9 +304,9 @@ class SemiParametricRecursion:
         inverse, _ = dtrtrs(self._regression.information[:-1, :-1], np.eye(self.n_columns))
         if white:
             more = (self._regression.tempered_sigma / self.sigma) ** 2 - 1.0
-            prior_root = np.sqrt(self._prior_information[::-1, None]) * inverse
-            shares, directions = np.linalg.eigh(prior_root.T @ prior_root)  # of the prior in R'R
-            inverse = inverse @ directions / np.sqrt(1.0 + more * (1.0 - np.minimum(shares, 1.0)))
+            of_prior = inverse.T @ self._prior_information[::-1, ::-1] @ inverse
+            shares, directions = np.linalg.eigh(of_prior)  # of the prior in R'R
+            inverse = inverse @ directions / np.sqrt(1.0 + more * (1.0 - np.clip(shares, 0.0, 1.0)))
         return np.asarray((inverse @ inverse.T)[::-1, ::-1])
 
     def theta_root(self) -> Array:
@@ -385,7 +394,7 @@ class SemiParametricRecursion:
         weight = np.sqrt(1.0 - kept) / self._prior_std[index]
         row[0, self.n_columns - 1 - index], row[0, -1] = weight, weight * self.theta[index]
         triangular(self._regression.information, row, 1)
-        self._prior_information[index] += weight**2
+        self._prior_information[index, index] += weight**2
 
 
 @compiled

@@ -62,8 +62,7 @@ MEASURED, MOST_MEASURED = ('bias', 'history', 'motion', 'inputs_learnt', 'kept',
 STAMPS = ('stamps', 'origins', 'origin')
 RANGES = {'shares': (0.0, 1.0), 'log_weights': (-math.inf, 0.0), 'inflation': (1e-100, math.inf),
           'learnt': (min(Learning), max(Learning)), **dict.fromkeys(STAMPS, (-2**62, 2**62)),
-          **dict.fromkeys(('waiting', 'filled', 'start', 'compared', 'renewed', 'still',
-                           'prior_information'), (0.0, math.inf))}
+          **dict.fromkeys(('waiting', 'filled', 'start', 'compared', 'renewed', 'still'), (0.0, math.inf))}
 """Of arrays by the last part of their names, where only some values make sense."""
 
 TRIED, TRIED_EVERY_NS = 5, 10**7

@@ -405,7 +405,8 @@ def test_friction_that_turns_over_late_does_not_bend_the_mass():
     assert off[0] > 0.05 and (ours < 0.2 * off).all()
 
 
-@pytest.mark.parametrize(('forgetting', 'changes'), [(1.0, False), (0.97, False), (1.0, True)])
+@pytest.mark.parametrize(('forgetting', 'changes'), [(1.0, None), (0.97, None), (1.0, ()), (1.0, [[1.0], [0.0], [-0.5]]),
+                                                     (0.97, np.eye(3))])
 def test_what_is_forgotten_and_renewed_of_the_prior_does_not_count_as_samples(forgetting, changes):
     """The third coefficient is never excited: whatever r is, no more is known of it than by one model's prior."""
     rng = np.random.default_rng(0)
@@ -414,8 +415,8 @@ def test_what_is_forgotten_and_renewed_of_the_prior_does_not_count_as_samples(fo
     for number in range(1500):
         columns = rng.standard_normal((2, 3)) * [1.0, 1.0, 0.0]
         for model in models:
-            if changes and number == 1200:
-                model.follow_change()
+            if changes is not None and number == 1200:
+                model.follow_change(np.array(changes) if len(changes) else None)
             model.learn(model.predict(np.zeros(0), columns), columns.sum(axis=1))
     white, fewer = (model.theta_covariance(white=True) for model in models)
     np.testing.assert_allclose(white, models[0].theta_covariance(), rtol=1e-9, atol=1e-14)
