@@ -172,9 +172,10 @@ class Learner:
         changes = self.gate.changes
         contact = self.gate.judge(prediction, self.settings, self._renewal.unsettled)
         if self.gate.changes > changes:
+            learnt = 'is learnt once it is told' if self.changes.holds else 'is learnt'
             self._listener.announce(
                 f'the contact gate opens after {self.settings.gate_timeout:g} s: what lasts so long is '
-                'a change of the robot, and is learnt.')
+                f'a change of the robot, and {learnt}.')
         learns = self.settings.learning and not contact
         learning = learning_of(self.estimator, prediction, learns, self.gate, self.changes)
         self.gate.changed &= learning in (Learning.NO_NEWS, Learning.NO)

@@ -273,6 +273,20 @@ def test_a_load_that_is_told_leaves_the_arm_as_it_was_learnt():
     assert np.linalg.norm(beside) < 0.1 * np.linalg.norm(root @ moved)
 
 
+@pytest.mark.parametrize(('auto', 'ends'), [('report', 'is learnt once it is told.'), ('off', 'is learnt.')])
+def test_what_the_gate_says_of_a_change_is_so_while_it_is_not_yet_told(auto, ends):
+    body, samples = free()
+    settings = replace(SETTINGS, gate_enabled=True, gate_timeout=0.5, diagnosis_auto=auto)
+    stage = Stage(settings, InlineBackground(), body)
+    for sample in replace(samples, outputs=samples.outputs + 5.0 * (samples.time > 50.0)[:, None])[samples.time < 60.0]:
+        stage.offer([sample])
+        if stage.news[-1:] and 'the contact gate opens' in stage.news[-1]:
+            break
+    assert stage.news[-1].endswith(ends)
+    assert stage.learner.changes.holds == ('once' in ends)
+    assert (stage.answers[-1].learning > 0) == ('once' not in ends)
+
+
 def test_a_touch_ends_when_nobody_looks_any_more():
     """It lasted until somebody did again: all between was left out of a diagnosis."""
     body, samples = pushed(start=50.0, newton=30.0)
