@@ -321,7 +321,10 @@ class ChangeWatch:
         """Number of the last change from before the clock jumped: stamps of those mean another time."""
         self._inputs: Inputs | None = None
         """How the samples of this robot are best prepared, once that is known."""
-        self._now = self._returned_at = 0
+        self._now = self._anew_at = 0
+        """[ns] The newest sample, and when the model last returned, or began anew with the contact gate."""
+        self._untold = False
+        """Whether it began anew with what nobody has told since."""
         self._first: int | None = None
         """[ns] The first sample since then: of those before it is not known what was there."""
 
@@ -420,8 +423,10 @@ class ChangeWatch:
             self._contacts.see(block, detector.touched, change is not None)
         if change is not None:
             new = change.ended is None and change.number not in self.records
-            if new and not self.applies and not change.since <= self._returned_at <= self._now:
+            learnt = change.since <= self._anew_at <= self._now
+            if new and not self.applies and not learnt:
                 self.follows = learning_after(change.kind)
+            self._untold &= not (new and learnt)
             self._record(change)
         if block is not None and detector.judges:
             self._judge(detector, block)
@@ -690,14 +695,22 @@ class ChangeWatch:
                 return other
         return None
 
+    def began_anew(self) -> None:
+        """The model has followed what the contact gate gave way to, of which nothing may have been told."""
+        self._anew_at, self._untold = self._now, self._followed is None
+
     def returned(self) -> None:
         """The model has changed places with the one from before the last change that it learnt.
 
         Where that one was there yet, what was just told is its end; else it came again. Of either
         nothing may have been told yet.
         """
-        self._returned_at = self._now
+        untold, self._anew_at, self._untold = self._untold, self._now, False
         followed, detector = self._followed, self.detector
+        if untold and followed is None:
+            if detector is not None:
+                detector.reset()
+            return
         learnt = [record.change for number, record in self.records.items()
                   if (followed is None or number < followed.change.number)
                   and not record.retracted and not record.was_applied]

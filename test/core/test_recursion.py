@@ -405,8 +405,8 @@ def test_friction_that_turns_over_late_does_not_bend_the_mass():
     assert off[0] > 0.05 and (ours < 0.2 * off).all()
 
 
-@pytest.mark.parametrize(('forgetting', 'changes'), [(1.0, None), (0.97, None), (1.0, ()), (1.0, [[1.0], [0.0], [-0.5]]),
-                                                     (0.97, np.eye(3))])
+@pytest.mark.parametrize(('forgetting', 'changes'), [
+    (1.0, None), (0.97, None), (1.0, ()), (1.0, [[1.0], [0.0], [-0.5]]), (0.97, np.eye(3))])
 def test_what_is_forgotten_and_renewed_of_the_prior_does_not_count_as_samples(forgetting, changes):
     """The third coefficient is never excited: whatever r is, no more is known of it than by one model's prior."""
     rng = np.random.default_rng(0)

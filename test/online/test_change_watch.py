@@ -110,11 +110,34 @@ def test_what_the_model_has_returned_from_is_not_followed_when_it_is_told(ago, f
     body, samples = free()
     stage = offered(body, samples[samples.time < 50.0])
     watch = stage.learner.changes
-    watch._returned_at = watch._now
+    watch._anew_at = watch._now
     change = Change(1, watch._now - round(ago * 1e9), watch._now, 'payload', 'r_gripper', 0.2, 0.01, 20.0, ())
     monkeypatch.setattr(ChangeDetector, 'see', lambda *_: change)
     stage.offer(samples[(samples.time >= 50.0) & (samples.time < 50.05)])
     assert watch.follows == follows and list(watch.records) == [1]
+
+
+def test_what_the_gate_gave_way_to_is_followed_once_and_its_end_is_none_of_an_earlier_change(monkeypatch):
+    """The model that was told of it a second time forgot what was known before, and could not return."""
+    body, samples = free()
+    pushed = 5.0 * ((samples.time > 50.0) & (samples.time < 56.0))[:, None]
+    samples = replace(samples, outputs=samples.outputs + pushed)
+    monkeypatch.setattr(ChangeDetector, '_tell', lambda *_: None)
+    monkeypatch.setattr(ChangeDetector, 'stands_out', False)
+    stage = Stage(replace(SETTINGS, gate_enabled=True, gate_timeout=0.5), InlineBackground(), body)
+    stage.offer(samples[samples.time < 52.0])
+    watch, recursion = stage.learner.changes, stage.learner.estimator.model.recursion
+    assert sum(answer.learning == Learning.AFTER_CHANGE for answer in stage.answers) == 1
+    known, since = recursion.before, samples.origin + round(50e9)
+    change = Change(7, since, watch._now, 'payload', 'r_gripper', 0.2, 0.01, 20.0, ())
+    with monkeypatch.context() as told:
+        told.setattr(ChangeDetector, 'see', lambda *_: change)
+        stage.offer(samples[(samples.time >= 52.0) & (samples.time < 52.02)])
+    assert watch.follows is None and recursion.before is known
+    watch._untold = True  # as if it had not been told
+    watch.records[7] = ChangeRecord(change._replace(ended=since - 10**9))
+    stage.offer(samples[(samples.time >= 52.02) & (samples.time < 60.0)])
+    assert returns(stage) == 1 and list(watch.records) == [7]
 
 
 @pytest.mark.parametrize('kind', ['sensor_offset', 'effort_offset', 'friction', 'payload', 'zero_slip', ''])
