@@ -73,7 +73,7 @@ def renew(settings: Settings, body: RigidBody, batch: SampleBatch, origin: int |
     estimator, errors = new_estimator(settings, body, known_of(gathering), origin), Errors(body.n_outputs)
     estimator.marks |= bool((learning == Learning.TAKEN_BACK).any())
     compared = later_window(learnt, judged(later.samples))
-    changes = np.flatnonzero(is_change(learning[:begin]))
+    changes = 1 + np.flatnonzero(is_change(learning[1:begin]))  # of what was before the first nothing is known
     fates = dict(zip(changes.tolist(), learning[changes].tolist(), strict=True))
     since = max(fates, default=0)
     first, every = (max(OLDER, -(-count // OLDER_OF_DRAFT)) if later.draft else OLDER
