@@ -130,7 +130,7 @@ class SemiParametricRecursion:
         self._weights = SquareRootFilter(n_features, rho, (self.n_columns + 1) * n_outputs)
         self._renewed = 0
         self.before: SemiParametricRecursion | None = None
-        """As it was before the robot last changed."""
+        """As it was before the robot last changed, with its own :attr:`before`, which has none."""
         self.compared_at = 0
         """[ns] Stamp of the last sample at which the two were compared."""
         self._compared: Array = np.zeros(3)
@@ -188,8 +188,11 @@ class SemiParametricRecursion:
         :param directions: (p, k) L, theta has become theta + L delta with delta ~ N(0, I); None: by as
             much as the prior expects of any robot, the weights too.
         """
-        self.before, self._compared = None, np.zeros(3)
+        known, self.before, self._compared = self.before, None, np.zeros(3)
         self.before = deepcopy(self)
+        self.before.before = known
+        if known is not None:
+            known.before = None
         self._doubted = np.zeros((self.n_columns, self.n_columns))
         if directions is None:
             self._prior_information = np.diag(self._prior_std**-2)
@@ -252,7 +255,8 @@ class SemiParametricRecursion:
     def go_back(self) -> None:
         """Change places with the model from before; where there is none, the robot has changed.
 
-        What the change had put in doubt is so again: the load that comes may be another one.
+        What the change had put in doubt is so again: the load that comes may be another one. Where that
+        was everything, the change is forgotten if one before it is known.
         """
         before, self._compared = self.before, np.zeros(3)
         if before is None:
@@ -264,6 +268,8 @@ class SemiParametricRecursion:
             setattr(before, name, mine)
         if self._doubted.any():
             self._doubt()
+        elif before.before is not None:
+            self.before, self._doubted = before.before, before._doubted
         self.revise()
 
     @property

@@ -323,8 +323,8 @@ class ChangeWatch:
         """How the samples of this robot are best prepared, once that is known."""
         self._now = self._anew_at = 0
         """[ns] The newest sample, and when the model last returned, or began anew with the contact gate."""
-        self._untold = False
-        """Whether it began anew with what nobody has told since."""
+        self._learnt: int | None = None
+        """The change that the model has followed last; None where nobody has told it."""
         self._first: int | None = None
         """[ns] The first sample since then: of those before it is not known what was there."""
 
@@ -426,7 +426,8 @@ class ChangeWatch:
             learnt = change.since <= self._anew_at <= self._now
             if new and not self.applies and not learnt:
                 self.follows = learning_after(change.kind)
-            self._untold &= not (new and learnt)
+            if new and learnt and self._learnt is None:
+                self._learnt = change.number
             self._record(change)
         if block is not None and detector.judges:
             self._judge(detector, block)
@@ -695,29 +696,30 @@ class ChangeWatch:
                 return other
         return None
 
-    def began_anew(self) -> None:
-        """The model has followed what the contact gate gave way to, of which nothing may have been told."""
-        self._anew_at, self._untold = self._now, self._followed is None
+    def began_anew(self, told: bool) -> None:
+        """The model has followed a change, of which nobody has told where the contact gate gave way to it."""
+        followed = self._followed
+        self._learnt = followed.change.number if told and followed is not None else None
+        if not told:
+            self._anew_at = self._now
 
     def returned(self) -> None:
         """The model has changed places with the one from before the last change that it learnt.
 
-        Where that one was there yet, what was just told is its end; else it came again. Of either
-        nothing may have been told yet.
+        Where that one was there yet, it is over, since what was just told or since then; else it came
+        again. Where nobody has told it, or it was taken back, there is nothing to tell.
         """
-        untold, self._anew_at, self._untold = self._untold, self._now, False
+        self._anew_at = self._now
         followed, detector = self._followed, self.detector
-        if untold and followed is None:
-            if detector is not None:
+        record = None if self._learnt is None else self.records.get(self._learnt)
+        if detector is None:
+            return
+        if record is None or record.retracted or record.was_applied:
+            if followed is None:
                 detector.reset()
             return
-        learnt = [record.change for number, record in self.records.items()
-                  if (followed is None or number < followed.change.number)
-                  and not record.retracted and not record.was_applied]
-        last = max(learnt, default=None, key=lambda change: change.number)
-        if last is None or detector is None:
-            return
-        if followed is not None:
+        last = record.change
+        if followed is not None and followed.change.number != last.number:
             if last.ended is None:
                 self._end(last.number, followed.change.number)
             return
@@ -726,6 +728,7 @@ class ChangeWatch:
             self._record(last._replace(noticed=self._now, ended=since))
         else:
             detector.number += 1
+            self._learnt = detector.number
             self._record(last._replace(number=detector.number, since=since, noticed=self._now, ended=None,
                                        touched=since))
         detector.reset()

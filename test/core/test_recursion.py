@@ -175,6 +175,35 @@ def test_what_returns_answers_as_before_and_is_in_doubt_along_the_same_direction
             model.follow_change(directions)
 
 
+def test_a_change_upon_another_one_is_forgotten_and_what_was_before_both_is_known_yet():
+    """A load, and then something of no kind that was none: put down, the model returned to what that had left."""
+    rng, directions = np.random.default_rng(0), np.random.default_rng(1).standard_normal((4, 2))
+    model, left = SemiParametricRecursion(2, 0, np.ones(4), 1.0, 0.1), []
+
+    def learn(theta):
+        for columns in rng.standard_normal((30, 2, 4)):
+            model.learn(model.predict(np.zeros(0), columns), columns @ theta)
+        left.append(model.theta.copy())
+
+    learn(np.ones(4))
+    model.follow_change(directions)
+    learn(np.ones(4) + directions.sum(axis=1))
+    model.follow_change()
+    learn(np.zeros(4))
+    restored = SemiParametricRecursion(2, 0, np.ones(4), 1.0, 0.1)
+    restored.restore(model.state())
+    for each in (model, restored):
+        each.go_back()
+        np.testing.assert_array_equal(each.theta, left[1])
+        each.go_back()
+        np.testing.assert_array_equal(each.theta, left[0])
+        each.go_back()
+        np.testing.assert_array_equal(each.theta, left[1])
+    for _ in range(3):
+        model.follow_change()
+    assert model.before.before is not None and model.before.before.before is None
+
+
 def test_outputs_of_different_scales_are_those_of_one_scale_in_other_units():
     phi, columns, outputs = problem(6, 40, 3, 5, 4)
     scale, known = np.array([0.01, 3.0, 200.0]), np.random.default_rng(0).normal(size=(40, 3))

@@ -134,7 +134,8 @@ def test_what_the_gate_gave_way_to_is_followed_once_and_its_end_is_none_of_an_ea
         told.setattr(ChangeDetector, 'see', lambda *_: change)
         stage.offer(samples[(samples.time >= 52.0) & (samples.time < 52.02)])
     assert watch.follows is None and recursion.before is known
-    watch._untold = True  # as if it had not been told
+    assert watch._learnt == 7, 'it is the one that was told'
+    watch._learnt = None  # as if it had not been
     watch.records[7] = ChangeRecord(change._replace(ended=since - 10**9))
     stage.offer(samples[(samples.time >= 52.02) & (samples.time < 60.0)])
     assert returns(stage) == 1 and list(watch.records) == [7]
