@@ -333,6 +333,8 @@ class SemiParametricRecursion:
 
         Raises SemiparamError when it is that of other sizes or not finite.
         """
+        if any(name.startswith(3 * 'before.') for name in state):
+            raise SemiparamError('the saved model knows what was before three changes; expected two at most.')
         then = {name.removeprefix('before.'): values for name, values in state.items() if name.startswith('before.')}
         for name, mine in self.state().items():
             if name.startswith('before.'):

@@ -202,6 +202,10 @@ def test_a_change_upon_another_one_is_forgotten_and_what_was_before_both_is_know
     for _ in range(3):
         model.follow_change()
     assert model.before.before is not None and model.before.before.before is None
+    known = model.state()
+    known.update({f'before.{name}': values for name, values in known.items() if name.startswith(2 * 'before.')})
+    with pytest.raises(SemiparamError, match='before three changes; expected two at most'):
+        model.restore(known)
 
 
 def test_outputs_of_different_scales_are_those_of_one_scale_in_other_units():

@@ -311,6 +311,24 @@ def test_what_the_gate_says_of_a_change_is_so_while_it_is_not_yet_told(auto, end
     assert (stage.answers[-1].learning > 0) == ('once' not in ends)
 
 
+@pytest.mark.parametrize('forgotten', [False, True])
+def test_a_return_from_what_was_taken_back_ends_no_earlier_change(forgotten):
+    """Something of no kind that was none, told upon a load: with its end the load was told as over."""
+    body, samples, _ = loaded()
+    stage = offered(body, samples[samples.time < LOADED_S[0] + 8.0])
+    watch, (record,) = stage.learner.changes, stage.learner.changes.records.values()
+    assert watch._learnt == record.change.number
+    watch.detector.reset()
+    later = record.change._replace(number=2, since=watch._now - 10**9, kind='', ended=watch._now)
+    if not forgotten:
+        nothing = name_change(body, free()[1], [], LOADED_S[0])
+        watch.records[2] = replace(ChangeRecord(later), named=nothing, times_named=1)
+        assert watch.records[2].retracted
+    watch._learnt, told = 2, len(stage.changes)
+    watch.returned()
+    assert watch.records[record.change.number].change.ended is None and len(stage.changes) == told
+
+
 def test_a_touch_ends_when_nobody_looks_any_more():
     """It lasted until somebody did again: all between was left out of a diagnosis."""
     body, samples = pushed(start=50.0, newton=30.0)
