@@ -281,6 +281,15 @@ def known(declared: Sequence[Effect], named: Sequence[Effect]) -> tuple[Effect, 
     return tuple(found.values())
 
 
+class LearntChange(NamedTuple):
+    """A change that the model has followed: its number, None where nobody has told it; how; and
+    whether the model has it, or has returned from it."""
+
+    number: int | None
+    learning: Learning
+    there: bool = True
+
+
 class ChangeWatch:
     """Notices changes of one robot, has them named, and applies what was named.
 
@@ -323,8 +332,8 @@ class ChangeWatch:
         """How the samples of this robot are best prepared, once that is known."""
         self._now = self._anew_at = 0
         """[ns] The newest sample, and when the model last returned, or began anew with the contact gate."""
-        self._learnt: int | None = None
-        """The change that the model has followed last; None where nobody has told it."""
+        self._learnt = list[LearntChange]()
+        """The latest, as many as the model knows what was before."""
         self._first: int | None = None
         """[ns] The first sample since then: of those before it is not known what was there."""
 
@@ -426,8 +435,8 @@ class ChangeWatch:
             learnt = change.since <= self._anew_at <= self._now
             if new and not self.applies and not learnt:
                 self.follows = learning_after(change.kind)
-            if new and learnt and self._learnt is None:
-                self._learnt = change.number
+            if new and learnt and self._learnt and self._learnt[-1].number is None:
+                self._learnt[-1] = self._learnt[-1]._replace(number=change.number)
             self._record(change)
         if block is not None and detector.judges:
             self._judge(detector, block)
@@ -696,42 +705,45 @@ class ChangeWatch:
                 return other
         return None
 
-    def began_anew(self, told: bool) -> None:
+    def began_anew(self, learning: Learning, told: bool) -> None:
         """The model has followed a change, of which nobody has told where the contact gate gave way to it."""
         followed = self._followed
-        self._learnt = followed.change.number if told and followed is not None else None
+        number = followed.change.number if told and followed is not None else None
+        self._learnt = [*self._learnt[-1:], LearntChange(number, learning)]
         if not told:
             self._anew_at = self._now
 
     def returned(self) -> None:
         """The model has changed places with the one from before the last change that it learnt.
 
-        Where that one was there yet, it is over, since what was just told or since then; else it came
+        Where the model had that one, it is over, since what was just told or since then; else it came
         again. Where nobody has told it, or it was taken back, there is nothing to tell.
         """
         self._anew_at = self._now
         followed, detector = self._followed, self.detector
-        record = None if self._learnt is None else self.records.get(self._learnt)
+        known = self._learnt.pop() if self._learnt else LearntChange(None, Learning.AFTER_CHANGE)
+        if known.learning != Learning.AFTER_CHANGE or not self._learnt:  # else the model has forgotten it
+            self._learnt.append(known._replace(there=not known.there))
+        record = None if known.number is None else self.records.get(known.number)
         if detector is None:
             return
-        if record is None or record.retracted or record.was_applied:
-            if followed is None:
-                detector.reset()
-            return
-        last = record.change
-        if followed is not None and followed.change.number != last.number:
-            if last.ended is None:
-                self._end(last.number, followed.change.number)
+        told = record is not None and not record.retracted and not record.was_applied
+        if record is not None and told and followed is not None and followed.change.number != known.number:
+            if record.change.ended is None:
+                self._end(record.change.number, followed.change.number)
+            elif not known.there:
+                self._learnt[-1] = self._learnt[-1]._replace(number=followed.change.number)
             return
         since = min(detector.touched_at, self._now - round(LEAST_COMPARED_S * NANOSECONDS))
-        if last.ended is None:
-            self._record(last._replace(noticed=self._now, ended=since))
-        else:
+        if record is not None and told and known.there and record.change.ended is None:
+            self._record(record.change._replace(noticed=self._now, ended=since))
+        elif record is not None and told and not known.there:
             detector.number += 1
-            self._learnt = detector.number
-            self._record(last._replace(number=detector.number, since=since, noticed=self._now, ended=None,
-                                       touched=since))
-        detector.reset()
+            self._learnt[-1] = self._learnt[-1]._replace(number=detector.number)
+            self._record(record.change._replace(number=detector.number, since=since, noticed=self._now,
+                                                ended=None, touched=since))
+        if told or followed is None:
+            detector.reset()
 
     def _end(self, number: int, by: int) -> None:
         """A change that was learnt is over since another one began, which is none of its own."""

@@ -179,7 +179,7 @@ class Learner:
         learns = self.settings.learning and not contact
         learning = learning_of(self.estimator, prediction, learns, self.gate, self.changes)
         if learning >= Learning.AFTER_CHANGE:
-            self.changes.began_anew(told=not self.gate.changed)
+            self.changes.began_anew(learning, told=not self.gate.changed)
         self.gate.changed &= learning in (Learning.NO_NEWS, Learning.NO)
         self.changes.follows = self.changes.follows if learning in (Learning.NO_NEWS, Learning.NO) else None
         self.changes.begins_to_hold &= learning != Learning.TAKEN_BACK

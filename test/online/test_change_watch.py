@@ -13,7 +13,15 @@ from semiparam_ros.errors import SemiparamError
 from semiparam_ros.experiments.evaluation import OfflineLearner
 from semiparam_ros.online import change_watch
 from semiparam_ros.online.change_causes import causes_of, load_directions
-from semiparam_ros.online.change_watch import APPLIED, ASSUMED, TAKEN_BACK, TRIED, ChangeRecord, Decision
+from semiparam_ros.online.change_watch import (
+    APPLIED,
+    ASSUMED,
+    TAKEN_BACK,
+    TRIED,
+    ChangeRecord,
+    Decision,
+    LearntChange,
+)
 from semiparam_ros.online.changes import Change, ChangeDetector
 from semiparam_ros.online.diagnosis_jobs import name_change as name_in_background
 from semiparam_ros.online.learning import Learning, directions_of, learning_after
@@ -134,8 +142,8 @@ def test_what_the_gate_gave_way_to_is_followed_once_and_its_end_is_none_of_an_ea
         told.setattr(ChangeDetector, 'see', lambda *_: change)
         stage.offer(samples[(samples.time >= 52.0) & (samples.time < 52.02)])
     assert watch.follows is None and recursion.before is known
-    assert watch._learnt == 7, 'it is the one that was told'
-    watch._learnt = None  # as if it had not been
+    assert watch._learnt == [LearntChange(7, Learning.AFTER_CHANGE)], 'it is the one that was told'
+    watch._learnt = [LearntChange(None, Learning.AFTER_CHANGE)]  # as if it had not been
     watch.records[7] = ChangeRecord(change._replace(ended=since - 10**9))
     stage.offer(samples[(samples.time >= 52.02) & (samples.time < 60.0)])
     assert returns(stage) == 1 and list(watch.records) == [7]
@@ -317,16 +325,21 @@ def test_a_return_from_what_was_taken_back_ends_no_earlier_change(forgotten):
     body, samples, _ = loaded()
     stage = offered(body, samples[samples.time < LOADED_S[0] + 8.0])
     watch, (record,) = stage.learner.changes, stage.learner.changes.records.values()
-    assert watch._learnt == record.change.number
+    load = LearntChange(record.change.number, Learning.AFTER_LOAD)
+    assert watch._learnt == [load]
     watch.detector.reset()
     later = record.change._replace(number=2, since=watch._now - 10**9, kind='', ended=watch._now)
     if not forgotten:
         nothing = name_change(body, free()[1], [], LOADED_S[0])
         watch.records[2] = replace(ChangeRecord(later), named=nothing, times_named=1)
         assert watch.records[2].retracted
-    watch._learnt, told = 2, len(stage.changes)
+    watch.began_anew(Learning.AFTER_CHANGE, told=True)
+    watch._learnt[-1], told = LearntChange(2, Learning.AFTER_CHANGE), len(stage.changes)
     watch.returned()
     assert watch.records[record.change.number].change.ended is None and len(stage.changes) == told
+    assert watch._learnt == [load]
+    watch.returned()
+    assert watch.records[record.change.number].change.ended is not None, 'now it is the load'
 
 
 def test_a_touch_ends_when_nobody_looks_any_more():
