@@ -38,8 +38,8 @@ OFF_SHARE = 0.1
 """Where nothing moves and all outputs are below this share of what is predicted, the motors are
 off behind brakes."""
 
-MARK_NS, MARKS = 250_000_000, 3
-"""So often what was learnt is copied, and so many copies are kept: the oldest is from half a second
+MARK_NS, MARKS = 500_000_000, 5
+"""So often what was learnt is copied, and so many copies are kept: the oldest is from two seconds
 ago at least."""
 ELSEWHERE = 2.0
 """Errors on another motion are up to so many times those on a block of the same motion that was
@@ -166,7 +166,7 @@ class Ensemble:
     def mark(self, stamp: int, keep: bool) -> None:
         """Copy what was learnt until a stamp [ns], where the last copy is old enough.
 
-        :param keep: False: forget the copies, which no longer are from half a second ago.
+        :param keep: False: forget the copies, which no longer are from two seconds ago.
         """
         if not keep:
             self._marks.clear()

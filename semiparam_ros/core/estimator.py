@@ -221,7 +221,7 @@ class Estimator:
         return complete
 
     def take_back(self) -> None:
-        """Take back what was learnt in the last half second, or a little more, where that is :attr:`marks`."""
+        """Take back what was learnt in the last two seconds, or a little more, where that is :attr:`marks`."""
         self.ensemble.take_back()
 
     def compare(self, prediction: Prediction) -> bool:

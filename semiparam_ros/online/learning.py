@@ -31,8 +31,8 @@ class Learning(IntEnum):
     RETURNED = -4
     """As OFFSET: with it the robot is as before its last change, and the model returns to what it knew then."""
     TAKEN_BACK = -3
-    """As OFFSET, the first of them: what stands out began before it was seen, so what was learnt in the last half
-    second is taken back."""
+    """As OFFSET, the first of them: what stands out began before it was seen, so what was learnt in the last two
+    seconds is taken back."""
     OFFSET = -2
     """The wandering offset alone follows it: the robot may have changed, and what it is will be known soon."""
     NO_NEWS = -1
