@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from rclpy.logging import LoggingSeverity, get_logger
 
 from semiparam_ros.online.identified_parameters import Load, reported_load
 from semiparam_ros.ros.estimator.autosave import Autosave
@@ -243,3 +244,11 @@ def test_a_node_ends_and_says_why_there_is_no_checkpoint_of_the_end(busy, senten
     autosave.checkpoints = SimpleNamespace(wait=lambda: None, busy=busy, save=save, news=[])
     autosave.close()
     assert told == [f'there is no checkpoint of the end: {sentence}']
+
+
+def test_what_is_said_may_be_an_error_once_and_a_warning_later():
+    """rclpy refuses two severities from one line: a second publisher was not told where anything had been refused."""
+    reports = SimpleNamespace(_node=SimpleNamespace(get_logger=lambda: get_logger('reports')), _news='')
+    for severity in (LoggingSeverity.ERROR, LoggingSeverity.WARN, LoggingSeverity.INFO, LoggingSeverity.ERROR):
+        Reports.say(reports, f'a sentence of {severity.name}', severity)
+        assert reports._news == f'a sentence of {severity.name}'

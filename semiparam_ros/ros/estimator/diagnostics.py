@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import InertiaStamped
+from rclpy.impl.logging_severity import LoggingSeverity
 from rclpy.node import Node
 
 from semiparam_ros.core.horizon_error import HorizonErrors
@@ -499,16 +500,16 @@ class Reports:
         self.say(f'{robot_name or "the robot"} is known by its description and moves {", ".join(body.joints)}; '
                  f'{predicted} is predicted.')
 
-    def say(self, sentence: str, log: Callable[[str], object] | None = None) -> None:
-        """Into the log, and into the status of learning as the last news.
-
-        :param log: of another level than the usual one.
-        """
+    def say(self, sentence: str, severity: LoggingSeverity = LoggingSeverity.INFO) -> None:
+        """Into the log, and into the status of learning as the last news."""
         self._news = sentence
-        if log is None:
-            self._node.get_logger().info(sentence)
+        log = self._node.get_logger()
+        if severity == LoggingSeverity.ERROR:  # rclpy refuses two severities from one line
+            log.error(sentence)
+        elif severity == LoggingSeverity.WARN:
+            log.warning(sentence)
         else:
-            log(sentence)
+            log.info(sentence)
 
     def _publish(self, title: str, make: Callable[[], Report | None]) -> None:
         try:
@@ -523,7 +524,7 @@ class Reports:
     def _errors_report(self) -> Report:
         duplicates = self._duplicates()
         if duplicates and not self._known_duplicates:
-            self.say(duplicates, self._node.get_logger().error)
+            self.say(duplicates, LoggingSeverity.ERROR)
         self._known_duplicates = duplicates
         return errors_report(self._errors, duplicates)
 
@@ -532,10 +533,10 @@ class Reports:
             self.say(f'{topic} is offered as best_effort only, and received so.')
         for topic in self._inputs.newly_unheard():
             self.say(f'{topic} has a best_effort publisher beside reliable ones, which alone are heard; '
-                     'reliability: best_effort hears both.', self._node.get_logger().warning)
+                     'reliability: best_effort hears both.', LoggingSeverity.WARN)
         for topic, owners in self._inputs.newly_shared():
             self.say(f'{len(owners)} publish on {topic}: {", ".join(owners)}. All that holds this robot\'s joints or '
-                     'sensor is learnt, but for joint states that jump.', self._node.get_logger().warning)
+                     'sensor is learnt, but for joint states that jump.', LoggingSeverity.WARN)
         learner = self._learner()
         self._log_stage(learner)
         if learner is None:

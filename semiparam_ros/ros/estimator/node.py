@@ -9,6 +9,7 @@ from pathlib import Path
 
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.duration import Duration
+from rclpy.impl.logging_severity import LoggingSeverity
 from rclpy.parameter import Parameter
 
 from semiparam_ros.core.horizon_error import HorizonErrors
@@ -276,7 +277,7 @@ class EstimatorNode(AnsweringNode, LearnerListener):
 
     def _refuse(self, where: str, sentence: str) -> None:
         self._rejections.add(where, sentence)
-        self._reports.say(sentence, self.get_logger().error)
+        self._reports.say(sentence, LoggingSeverity.ERROR)
 
     def _guarded(self, place: str, function: Callable[..., object], *arguments: object) -> None:
         """Call a function; nothing that goes wrong there may end the node."""
