@@ -1,6 +1,7 @@
 """The learner has changes named in the background, with what came before and after."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -340,6 +341,19 @@ def test_a_return_from_what_was_taken_back_ends_no_earlier_change(forgotten):
     assert watch._learnt == [load]
     watch.returned()
     assert watch.records[record.change.number].change.ended is not None, 'now it is the load'
+    watch.detector._count = 5
+    watch.returned()
+    assert watch.detector._count == 0, 'it judges the model that has returned from now on'
+    again = max(watch.records)
+    assert watch._learnt == [load._replace(number=again)] and watch.records[again].change.ended is None
+    watch.returned()
+    assert watch.records[again].change.ended is not None
+    told = watch.records[again].change._replace(number=again + 1, ended=None)
+    watch.records[again + 1] = ChangeRecord(told)
+    watch.records[again] = replace(watch.records[again], named=record.named)
+    watch.detector.followed = SimpleNamespace(change=told)
+    watch.returned()
+    assert watch._learnt == [load._replace(number=again + 1)], 'that it came again was told already'
 
 
 def test_a_touch_ends_when_nobody_looks_any_more():
