@@ -181,8 +181,10 @@ class Ensemble:
             self.clear_horizons()
 
     def follow_change(self, directions: Array | None) -> None:
-        """The robot has changed: see :meth:`OnlineModel.follow_change`."""
+        """The robot has changed: see :meth:`OnlineModel.follow_change`; of what was learnt before, nothing
+        is taken back."""
         self.carried.interrupt()
+        self._marks.clear()
         for each in self.models:
             each.follow_change(directions)
 

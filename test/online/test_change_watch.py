@@ -356,6 +356,20 @@ def test_a_return_from_what_was_taken_back_ends_no_earlier_change(forgotten):
     assert watch._learnt == [load._replace(number=again + 1)], 'that it came again was told already'
 
 
+def test_what_is_taken_back_soon_after_a_change_is_not_the_change():
+    """Two seconds are taken back: what was known before, and that the load is in doubt, would go with them."""
+    body, samples, _ = loaded()
+    stage = offered(body, samples[samples.time < LOADED_S[0] + 0.5])
+    while stage.answers[-1].learning != Learning.AFTER_LOAD:
+        stage.offer(samples[len(stage.answers):len(stage.answers) + 1])
+    estimator, known = stage.learner.estimator, stage.learner.estimator.model.recursion.before
+    stage.offer(samples[len(stage.answers):len(stage.answers) + 5])
+    assert known is not None and estimator.ensemble._marks
+    estimator.take_back()
+    before = estimator.model.recursion.before
+    assert before is not None and (before.theta == known.theta).all()
+
+
 def test_a_touch_ends_when_nobody_looks_any_more():
     """It lasted until somebody did again: all between was left out of a diagnosis."""
     body, samples = pushed(start=50.0, newton=30.0)
