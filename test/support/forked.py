@@ -8,6 +8,8 @@ import atexit
 import gc
 import json
 import os
+import select
+import signal
 import socket
 import subprocess
 import sys
@@ -101,7 +103,9 @@ def _forked(arguments, environment, folder, line, log):
     if started:
         os.close(log)
         os.write(line, str(started).encode())
-        os.write(line, str(os.waitstatus_to_exitcode(os.waitpid(started, 0)[1])).encode())
+        _end_with(line, started)
+        with suppress(BrokenPipeError):
+            os.write(line, str(os.waitstatus_to_exitcode(os.waitpid(started, 0)[1])).encode())
         os._exit(0)
     os.dup2(log, 1)
     os.dup2(log, 2)
@@ -112,6 +116,16 @@ def _forked(arguments, environment, folder, line, log):
     os.environ.update(environment)
     sys.argv = ['semiparam', *arguments]
     return arguments
+
+
+def _end_with(line, started):
+    """Wait for a process; kill it where who asked for it is gone: it would answer in the domains of other tests."""
+    ended = os.pidfd_open(started)
+    ends = select.poll()
+    ends.register(ended, select.POLLIN)
+    ends.register(line, 0)  # a hang-up is always told
+    if all(descriptor == line for descriptor, _ in ends.poll()):
+        os.kill(started, signal.SIGKILL)
 
 
 if __name__ == '__main__':
