@@ -8,10 +8,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from semiparam_ros.core.ensemble import MARK_NS, MARKS
 from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.hyperparameters.estimation import Hyperparameters
 from semiparam_ros.core.initial_window import beginning_steps
 from semiparam_ros.core.robot.rigid_body import RigidBody
+from semiparam_ros.core.types import Codes, Stamps
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online.history import SampleBatch
 from semiparam_ros.online.learning import OFF, Learning, follow_change, is_change, observe
@@ -28,6 +30,9 @@ that fits other motion less well than it believes, and where that is most of wha
 motion is fitted the worse. From before a change of the robot they are what it may return to."""
 OLDER_OF_DRAFT = 1000
 """Of a draft, which is wanted soon, so many at most."""
+
+TAKEN_BACK_NS = MARK_NS * (MARKS - 1)
+"""So long ago the oldest copy is from, at least."""
 
 
 class Known(NamedTuple):
@@ -80,6 +85,7 @@ def renew(settings: Settings, body: RigidBody, batch: SampleBatch, origin: int |
                     for count in (since, begin - since))
     older = np.zeros(begin, dtype=bool)
     older[:since:first] = older[since::every] = older[changes] = True
+    _leave_out_taken_back(learning[:begin], batch.stamps[:begin])
     learning[:begin] = np.minimum(learning[:begin], np.where(older, Learning.YES, Learning.NO))
     learning[:begin][learning[:begin] == Learning.RETURNED] = Learning.NO
     replayed = np.append(older[:start], np.ones(len(batch) - start, dtype=bool))
@@ -95,6 +101,18 @@ def renew(settings: Settings, body: RigidBody, batch: SampleBatch, origin: int |
         raise SemiparamError(f'the model that follows has errors of {errors.size:.3g} over that window where the model '
                              f'in force has {later.to_beat:.3g}.')
     return estimator
+
+
+def _leave_out_taken_back(learning: Codes, stamps: Stamps) -> None:
+    """Learn nothing of what was taken back from the model in force, which a model of some of the samples cannot do
+    by copies."""
+    passed = np.cumsum(np.abs(np.diff(stamps, prepend=stamps[:1])))
+    changed = np.flatnonzero(is_change(learning))
+    for end in np.flatnonzero(learning == Learning.TAKEN_BACK).tolist():
+        learnt_since = int(np.searchsorted(passed, passed[end] - TAKEN_BACK_NS))
+        start = max([learnt_since, *changed[changed < end] + 1])
+        learning[start:end] = np.minimum(learning[start:end], Learning.NO)
+    learning[learning == Learning.TAKEN_BACK] = Learning.OFFSET
 
 
 def new_estimator(settings: Settings, body: RigidBody, known: Known | None = None,

@@ -142,6 +142,27 @@ def test_older_motion_does_not_outvote_the_window_nor_delay_its_draft(draft, eve
     assert (renewed.model.recursion.before is not None) == bool(changed)
 
 
+@pytest.mark.parametrize('changed', [0, 120])
+def test_a_model_of_some_of_the_older_samples_has_learnt_nothing_of_what_was_taken_back(changed):
+    """A fifth of the samples of a load's first half second was learnt again, as of the arm."""
+    def thetas(spoilt):
+        """Of the model, and of the one before its change."""
+        pairs = [(sample._replace(outputs=sample.outputs + spoilt * (103 < number < 143)), Learning.YES)
+                 for number, sample in enumerate(DAY[:330])]
+        pairs[143:150] = [(sample, Learning.OFFSET) for sample, _ in pairs[143:150]]
+        pairs[143] = pairs[143][0], Learning.TAKEN_BACK
+        if changed:
+            pairs[changed] = DAY[changed], Learning.AFTER_LOAD
+        recursion = renew(SLOWER, BODY, batch_of(pairs), DAY[0].stamp, RecentWindow(100)).model.recursion
+        return recursion.theta, recursion.before and recursion.before.theta
+
+    now, before = zip(thetas(0.0), thetas(100.0), strict=True)
+    if changed:  # what is known since then may be taken back, no more
+        assert not np.array_equal(*before)
+    else:
+        np.testing.assert_array_equal(*now)
+
+
 @pytest.mark.parametrize('wish', [{'effects': ('sensor_drift',)}, {'variant': 'P'}])
 def test_an_estimate_from_a_later_window_gives_way_to_what_a_user_asks_for(wish):
     """And none begins before that is there."""
