@@ -397,7 +397,7 @@ def judged(robot: Robot, change: str, seed: int) -> Figures:
     ]
     decided = [
         seconds(decision.stamp) for record in told for decision in record.decisions[-1:]
-    ]
+    ] + [seconds(record.change.noticed) for record in told]
     for number, at in enumerate(case.times):
         until = after_motion(case.samples, at, NOTICED_S)
         soon = any(at <= when < until for when in decided)

@@ -148,14 +148,14 @@ class Ensemble:
 
     def compare(self, prediction: Prediction) -> bool:
         """Whether one of the models predicts better by what was known before the last change of the
-        robot, since a second."""
+        robot."""
         return any([model.compare(prediction.sample, its)
                     for model, its in zip(self.models, prediction.members, strict=True)])
 
     @property
-    def as_before(self) -> bool:
-        """Whether one of them does where the robot is told to have changed."""
-        return any(each.model.recursion.as_before for each in self.models)
+    def as_before_s(self) -> float:
+        """[s] How long one of them does, where the robot is told to have changed; 0 where none does."""
+        return max(each.model.recursion.as_before_s for each in self.models)
 
     def go_back(self) -> None:
         """The robot is as before its last change: see :meth:`OnlineModel.go_back`."""

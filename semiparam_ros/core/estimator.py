@@ -225,13 +225,13 @@ class Estimator:
         self.ensemble.take_back()
 
     def compare(self, prediction: Prediction) -> bool:
-        """Whether what was known before the last change predicts better since a second, this sample included."""
+        """Whether what was known before the last change predicts better, this sample included."""
         return prediction.motion.is_news and self.ensemble.compare(prediction)
 
     @property
-    def as_before(self) -> bool:
-        """Whether it does where the robot is told to have changed."""
-        return self.ensemble.as_before
+    def as_before_s(self) -> float:
+        """[s] How long it does, where the robot is told to have changed; 0 where it does not."""
+        return self.ensemble.as_before_s
 
     def go_back(self) -> None:
         """See :meth:`~semiparam_ros.core.recursion.SemiParametricRecursion.go_back`."""

@@ -180,8 +180,7 @@ class OnlineModel:
         return mean, std
 
     def compare(self, sample: Sample, prediction: MemberPrediction) -> bool:
-        """Whether what was known before the last change of the robot predicts better since a second or
-        longer."""
+        """Whether what was known before the last change of the robot predicts better."""
         recursion = self.model.recursion
         if recursion.before is None:
             return False
@@ -192,7 +191,7 @@ class OnlineModel:
         prior = prediction.prior
         then = self.model.predict_by(recursion.before, prior.phi, prediction.columns).mean
         seconds = min(max(since, 0), LONGEST_COMPARED_NS) / NANOSECONDS
-        return recursion.compare(seconds, sample.outputs - prior.mean, sample.outputs - then)
+        return recursion.compare(seconds, sample.outputs - prior.mean, sample.outputs - then, prior.std)
 
     def follow_change(self, directions: Array | None = None) -> None:
         """See :meth:`~semiparam_ros.core.recursion.SemiParametricRecursion.follow_change`.

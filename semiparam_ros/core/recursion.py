@@ -46,11 +46,15 @@ from semiparam_ros.core.square_root_filter import (
 from semiparam_ros.core.types import Array, Indices
 from semiparam_ros.errors import SemiparamError
 
-BACK, LEAST_COMPARED_S = 0.5, 1.0
-"""The model from before the last change returns where its squared error, over the last second or longer,
-is so small a share of that of the model in force."""
-LEAST_TOLD_S = 0.1
-"""Where the robot is told to have changed, so much says whether it is as before."""
+CORRELATED_S = 0.25
+"""Errors of a model that is not quite true are so long the same: in that time they tell as much as one sample
+of white noise."""
+BACK = 0.5
+"""Errors of the model in force count so much: of equal ones, there is no end to the chance that the other one is
+better for a while."""
+RETURNS, RETURNS_TOLD = 12.0, 3.0
+"""[nat] Evidence of the model from before the last change over that of the model in force with which it returns,
+and where the robot is told to have changed."""
 
 TOGETHER = 3
 """Rows that a reflection takes in at a time."""
@@ -133,11 +137,10 @@ class SemiParametricRecursion:
         """As it was before the robot last changed, with its own :attr:`before`, which has none."""
         self.compared_at = 0
         """[ns] Stamp of the last sample at which the two were compared."""
-        self._compared: Array = np.zeros(3)
-        """Squared errors of this model and of :attr:`before`, and seconds, since their share was last
-        ``BACK``."""
-        self._doubted: Array = np.zeros((self.n_columns, self.n_columns))
-        """L of the last change, zero where it left everything in doubt."""
+        self._back = self._back_s = 0.0
+        """[nat] Evidence of :attr:`before` over that of this model, since the time at which it is largest, [s] ago."""
+        self._of_any_kind = False
+        """Whether the last change left everything in doubt."""
         self._prior_information: Array = np.diag(self._prior_std**-2)
         """(p, p) of R'R, what is the prior's and not the samples': it is forgotten and renewed."""
         self._regression = Regression(self._prior_root(), self.scale, self.sigma,
@@ -188,26 +191,21 @@ class SemiParametricRecursion:
         :param directions: (p, k) L, theta has become theta + L delta with delta ~ N(0, I); None: by as
             much as the prior expects of any robot, the weights too.
         """
-        known, self.before, self._compared = self.before, None, np.zeros(3)
+        known, self.before = self.before, None
+        self._back = self._back_s = 0.0
         self.before = deepcopy(self)
         self.before.before = known
         if known is not None:
             known.before = None
-        self._doubted = np.zeros((self.n_columns, self.n_columns))
+        self._of_any_kind = directions is None
         if directions is None:
             self._prior_information = np.diag(self._prior_std**-2)
-            self._go_on(self._prior_root(), np.zeros_like(self._doubted), self.rho)
-        else:
-            triangle = np.asarray(np.linalg.qr(directions.T, mode='r')).T
-            self._doubted[:, :triangle.shape[1]] = triangle
-            self._doubt()
-
-    def _doubt(self) -> None:
-        """Theta has become theta + L delta: P + L L' stands for P, also for that under white noise."""
-        white = self.theta_covariance(white=True) + self._doubted @ self._doubted.T
-        self._go_on(*self._moved())
+            self._go_on(self._prior_root(), np.zeros((self.n_columns, self.n_columns)), self.rho)
+            return
+        white = self.theta_covariance(white=True) + directions @ directions.T
+        self._go_on(*self._moved(directions))
         r = (self._regression.tempered_sigma / self.sigma) ** 2
-        if r > 1.0:
+        if r > 1.0:  # L L' holds for the covariance under white noise too
             root = self.theta_root()
             self._prior_information = (r * root.T @ root - np.linalg.inv(white)) / (r - 1.0)
 
@@ -221,13 +219,13 @@ class SemiParametricRecursion:
         self._regression = self._regression._replace(information=information)
         self.revise()
 
-    def _moved(self) -> tuple[Array, Array]:
-        """(p + 1, p + 1) R of theta + L delta, and (p, p) G = P (P + L L')^-1 with P = (R'R)^-1.
+    def _moved(self, directions: Array) -> tuple[Array, Array]:
+        """(p + 1, p + 1) R of theta + L delta, and (p, p) G = P (P + L L')^-1 with P = (R'R)^-1, for L (p, k).
 
         Of what is known of theta G (theta' - theta) goes on. With R L = U s V' the new R'R is
         R' (I - U s^2 / (1 + s^2) U') R, and G = I - L V s / (1 + s^2) U' R.
         """
-        root, along = self._regression.information[:-1, :-1], self._doubted[::-1]
+        root, along = self._regression.information[:-1, :-1], directions[::-1]
         left, s, right = np.linalg.svd(root @ along, full_matrices=False)
         shrunk = root - left @ ((1.0 - 1.0 / np.sqrt(1.0 + s**2))[:, None] * (left.T @ root))
         kept = np.eye(self.n_columns) - along @ right.T @ ((s / (1.0 + s**2))[:, None] * (left.T @ root))
@@ -236,29 +234,31 @@ class SemiParametricRecursion:
         information[:-1, -1] = information[:-1, :-1] @ self.theta[::-1]
         return information, kept[::-1, ::-1]
 
-    def compare(self, seconds: float, now: Array, then: Array) -> bool:
-        """Charge what this model and the one :attr:`before` left of a sample (n,), so long after
-        the last one; whether the robot is as it was before (a load was put down).
+    def compare(self, seconds: float, now: Array, then: Array, std: Array) -> bool:
+        """Charge what this model and the one :attr:`before` left of a sample (n,), so long after the last one,
+        by the standard deviations that this one gave to it; whether the robot is as it was before (a load was
+        put down).
+
+        Where this model is unsure there is little evidence: it is to learn, not to be replaced. A spike decides
+        nothing: no two samples are enough.
         """
-        charged = [float(((left / self.scale) ** 2).sum()) for left in (now, then)] + [1.0]
-        self._compared += seconds * np.array(charged)
-        now_left, then_left, _ = self._compared.tolist()
-        if then_left >= BACK * now_left:
-            self._compared[:] = 0.0
-        return self._compared[2] >= LEAST_COMPARED_S
+        gained = sqrt(2.0) * float(((BACK * np.abs(now) - np.abs(then)) / std).sum())  # by Laplace's density
+        self._back = max(self._back + min(seconds / CORRELATED_S * gained, RETURNS / 2.0), 0.0)
+        self._back_s = self._back_s + seconds if self._back else 0.0
+        return self._back > RETURNS
 
     @property
-    def as_before(self) -> bool:
-        """Whether the robot is as it was before, where it is told to have changed."""
-        return bool(self._compared[2] >= LEAST_TOLD_S)
+    def as_before_s(self) -> float:
+        """[s] How long the robot is as it was before, where it is told to have changed; 0 where it is not."""
+        return self._back_s if self._back > RETURNS_TOLD else 0.0
 
     def go_back(self) -> None:
         """Change places with the model from before; where there is none, the robot has changed.
 
-        What the change had put in doubt is so again: the load that comes may be another one. Where that
-        was everything, the change is forgotten if one before it is known.
+        Where everything was in doubt, the change is forgotten if one before it is known: it was none.
         """
-        before, self._compared = self.before, np.zeros(3)
+        before = self.before
+        self._back = self._back_s = 0.0
         if before is None:
             self.follow_change()
             return
@@ -266,10 +266,8 @@ class SemiParametricRecursion:
             mine, its = getattr(self, name), getattr(before, name)
             setattr(self, name, its)
             setattr(before, name, mine)
-        if self._doubted.any():
-            self._doubt()
-        elif before.before is not None:
-            self.before, self._doubted = before.before, before._doubted
+        if self._of_any_kind and before.before is not None:
+            self.before, self._of_any_kind = before.before, before._of_any_kind
         self.revise()
 
     @property
@@ -323,8 +321,8 @@ class SemiParametricRecursion:
         """Everything learnt, as arrays; :meth:`restore` takes them back bit for bit."""
         before = {} if self.before is None else self.before.state()
         return {**self._weights.state(), 'renewed': np.array([self._renewed, self.compared_at]),
-                'compared': self._compared.copy(),
-                'information': self._regression.information.copy(), 'doubted': self._doubted.copy(),
+                'back': np.array([self._back, self._back_s, self._of_any_kind]),
+                'information': self._regression.information.copy(),
                 'prior_information': self._prior_information.copy(), 'theta': self.theta.copy(),
                 **{f'before.{name}': values for name, values in before.items()}}
 
@@ -347,10 +345,10 @@ class SemiParametricRecursion:
         self.revise()
         self._weights.restore(state)
         self._renewed, self.compared_at = np.asarray(state['renewed']).tolist()
-        self._compared = np.array(state['compared'], dtype=float)
+        self._back, self._back_s, of_any_kind = np.asarray(state['back']).tolist()
+        self._of_any_kind = bool(of_any_kind)
         self._regression = self._regression._replace(
             information=np.array(state['information'], dtype=float, order='C'))
-        self._doubted = np.array(state['doubted'], dtype=float)
         self._prior_information = np.array(state['prior_information'], dtype=float)
         self.theta = np.array(state['theta'], dtype=float)
         self.before = None

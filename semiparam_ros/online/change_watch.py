@@ -24,7 +24,6 @@ from semiparam_ros.core.columns import ColumnBlock, CoupledColumns
 from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.model import Model
 from semiparam_ros.core.prediction import Prediction
-from semiparam_ros.core.recursion import LEAST_COMPARED_S
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.stamps import NANOSECONDS
 from semiparam_ros.effects import Effect
@@ -713,11 +712,13 @@ class ChangeWatch:
         if not told:
             self._anew_at = self._now
 
-    def returned(self) -> None:
+    def returned(self, since: int) -> None:
         """The model has changed places with the one from before the last change that it learnt.
 
         Where the model had that one, it is over, since what was just told or since then; else it came
         again. Where nobody has told it, or it was taken back, there is nothing to tell.
+
+        :param since: [ns] since when it is better.
         """
         self._anew_at = self._now
         followed, detector = self._followed, self.detector
@@ -734,7 +735,6 @@ class ChangeWatch:
             elif not known.there:
                 self._learnt[-1] = self._learnt[-1]._replace(number=followed.change.number)
             return
-        since = min(detector.touched_at, self._now - round(LEAST_COMPARED_S * NANOSECONDS))
         if record is not None and told and known.there and record.change.ended is None:
             self._record(record.change._replace(noticed=self._now, ended=since))
         elif record is not None and told and not known.there:

@@ -23,6 +23,7 @@ from semiparam_ros.core.robot.external_wrench import ExternalWrench
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.robot.tools import Tools
 from semiparam_ros.core.samples import Sample
+from semiparam_ros.core.stamps import NANOSECONDS
 from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online import model_jobs
@@ -254,7 +255,7 @@ class Learner:
 
     def _observe(self, prediction: Prediction, learning: Learning) -> bool:
         """Tell whether the active model has taken it in; it is broken where it has not."""
-        passed_over = self.estimator.passed_over
+        passed_over, since = self.estimator.passed_over, round(self.estimator.as_before_s * NANOSECONDS)
         try:
             errors = observe(self.estimator, prediction, learning, finish=False)
         except SemiparamError:
@@ -267,7 +268,7 @@ class Learner:
         self.passed_over += passed
         self.learnt -= passed
         if learning == Learning.RETURNED:
-            self.changes.returned()
+            self.changes.returned(prediction.sample.stamp - since)
             self._listener.announce(
                 'the robot is again as it was before its last change: what was learnt then goes on.')
         if errors is not None:

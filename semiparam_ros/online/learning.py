@@ -59,7 +59,7 @@ def learning_of(estimator: Estimator, prediction: Prediction, learn: bool, gate:
         return Learning.NO_NEWS
     after = Learning.AFTER_CHANGE if gate.changed else changes.follows
     follows = learn and after is not None and not changes.holds
-    if estimator.compare(prediction) or (follows and estimator.as_before):
+    if estimator.compare(prediction) or (follows and estimator.as_before_s):
         return Learning.RETURNED
     if learn and changes.holds:
         return Learning.TAKEN_BACK if changes.begins_to_hold else Learning.OFFSET

@@ -37,7 +37,7 @@ from semiparam_ros.online.renewal import Renewal
 from semiparam_ros.settings.parameter_table import shown
 from semiparam_ros.settings.snapshot import Settings
 
-FORMAT, VERSION = 'semiparam_ros state', 30
+FORMAT, VERSION = 'semiparam_ros state', 31
 """The version changes with every change of what the arrays are or mean; test_state_file.py knows the layout of each."""
 
 ADOPTED = ('variant', 'effects', 'effects_reference', 'joint_friction', 'priors', 'noise', 'forgetting',
@@ -62,7 +62,7 @@ MEASURED, MOST_MEASURED = ('bias', 'history', 'motion', 'inputs_learnt', 'kept',
 STAMPS = ('stamps', 'origins', 'origin')
 RANGES = {'shares': (0.0, 1.0), 'log_weights': (-math.inf, 0.0), 'inflation': (1e-100, math.inf),
           'learnt': (min(Learning), max(Learning)), **dict.fromkeys(STAMPS, (-2**62, 2**62)),
-          **dict.fromkeys(('waiting', 'filled', 'start', 'compared', 'renewed', 'still'), (0.0, math.inf))}
+          **dict.fromkeys(('waiting', 'filled', 'start', 'back', 'renewed', 'still'), (0.0, math.inf))}
 """Of arrays by the last part of their names, where only some values make sense."""
 
 TRIED, TRIED_EVERY_NS = 5, 10**7

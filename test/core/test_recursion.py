@@ -156,7 +156,7 @@ def test_a_change_along_directions_adds_their_covariance(case, rank):
 
 
 @pytest.mark.parametrize('d', [0, 7])
-def test_what_returns_answers_as_before_and_is_in_doubt_along_the_same_directions(d):
+def test_what_returns_is_as_it_was(d):
     (phi, columns, outputs), directions = problem(3, 60, 2, d, 5), np.random.default_rng(0).standard_normal((5, 2))
     model, left = SemiParametricRecursion(2, d, np.ones(5), 1.0, 0.1), []
     for part in range(3):
@@ -167,12 +167,34 @@ def test_what_returns_answers_as_before_and_is_in_doubt_along_the_same_direction
             model.go_back()
             known, covariance, prior = left[part - 1]
             np.testing.assert_allclose(unknowns(model), known, **SAME)
-            np.testing.assert_allclose(model.theta_covariance(), covariance + directions @ directions.T, **SAME)
+            np.testing.assert_allclose(model.theta_covariance(), covariance, **SAME)
             now = model.predict(phi[0], columns[0])
             np.testing.assert_allclose(now.mean, prior.mean, **SAME)
-            assert (now.std > prior.std).all()
+            np.testing.assert_allclose(now.std, prior.std, **SAME)
         else:
             model.follow_change(directions)
+
+
+@pytest.mark.parametrize('period', [0.01, 0.05])
+def test_a_model_returns_within_a_tenth_of_a_second_where_it_is_far_better_and_not_for_a_spike(period):
+    model, rng = SemiParametricRecursion(2, 0, np.ones(4), 1.0, 0.1), np.random.default_rng(0)
+    std = np.array([0.1, 0.3])
+    model.follow_change()
+
+    def better(now, then, times):
+        """How many samples it takes, None where so many are not enough."""
+        noise = std * rng.standard_normal((times, 2))
+        return next((number for number, each in enumerate(noise, 1)
+                     if model.compare(period, each + now, each * rng.choice([-1.0, 1.0]) + then, std)), None)
+
+    load = np.array([8.0, 0.0])
+    assert better(0.0, 0.0, 20_000) is None, 'neither is better'
+    assert better(-load, -2.0 * load, 1) is None and not model.as_before_s, 'the one in force is'
+    assert better(2.0 * load, load, 1) is None, 'a spike'
+    assert better(0.0, load, 1000) is None and not model.as_before_s
+    assert 3 <= better(load, 0.0, 100) <= max(3, 0.1 / period)
+    model.go_back()
+    assert better(load, 0.0, 2) is None, 'it begins anew'
 
 
 def test_a_change_upon_another_one_is_forgotten_and_what_was_before_both_is_known_yet():
@@ -476,8 +498,8 @@ def test_after_a_change_little_that_comes_outvotes_the_past_and_what_was_known_r
     assert model.before is not None
     for _ in range(200):
         columns = rng.standard_normal((2, 2))
-        outputs = columns @ body
-        if model.compare(0.01, outputs - columns @ model.theta, outputs - columns @ model.before.theta):
+        outputs, std = columns @ body, model.predict(np.zeros(0), columns).std
+        if model.compare(0.01, outputs - columns @ model.theta, outputs - columns @ model.before.theta, std):
             break
     model.go_back()
     np.testing.assert_array_equal(model.theta, known)

@@ -109,7 +109,7 @@ SCRATCH = {
 
 
 LAYOUT = {
-    30: {
+    31: {
         'meta': 'applied format gate joints known memory newest origin others passed_over renewal settings tools '
                 'version window_left',
         'gate': 'awake bands calm_since changed closed closed_at closed_ratio closed_since closures counts familiar '
@@ -124,9 +124,9 @@ LAYOUT = {
         'history.origin': 'i8 ()', 'history.temperature': 'f8 (70, 0)',
         'recursion.array': 'f8 (178, 40)', 'recursion.left': 'f8 (8, 40)', 'recursion.right': 'f8 (8, 178)',
         'recursion.places': 'i8 (138,)', 'recursion.waiting': 'i8 ()', 'recursion.inflation': 'f8 ()',
-        'recursion.renewed': 'i8 (2,)', 'recursion.compared': 'f8 (3,)',
+        'recursion.renewed': 'i8 (2,)', 'recursion.back': 'f8 (3,)',
         'recursion.information': 'f8 (23, 23)', 'recursion.theta': 'f8 (22,)',
-        'recursion.prior_information': 'f8 (22, 22)', 'recursion.doubted': 'f8 (22, 22)',
+        'recursion.prior_information': 'f8 (22, 22)',
         'horizon.filled': 'i8 ()', 'horizon.start': 'i8 ()', 'horizon.rows': 'f8 (5, 242)',
         'horizon.origins': 'i8 (5,)', 'calibration.table': 'f8 (11, 6)', 'wandering.table': 'f8 (16, 6)',
         'average.log_weights': 'f8 (3, 6)', 'average.shares': 'f8 (3, 6)', 'average.filled': 'i8 ()',
@@ -135,16 +135,16 @@ LAYOUT = {
         'other0.recursion.array': 'f8 (138, 0)', 'other0.recursion.left': 'f8 (8, 0)',
         'other0.recursion.right': 'f8 (8, 138)', 'other0.recursion.places': 'i8 (138,)',
         'other0.recursion.information': 'f8 (23, 23)', 'other0.recursion.theta': 'f8 (22,)',
-        'other0.recursion.prior_information': 'f8 (22, 22)', 'other0.recursion.doubted': 'f8 (22, 22)',
+        'other0.recursion.prior_information': 'f8 (22, 22)',
         'other0.horizon.rows': 'f8 (5, 202)',
         'other1.recursion.array': 'f8 (142, 40)', 'other1.recursion.left': 'f8 (8, 40)',
         'other1.recursion.right': 'f8 (8, 142)', 'other1.recursion.places': 'i8 (102,)',
         'other1.recursion.information': 'f8 (17, 17)', 'other1.recursion.theta': 'f8 (16,)',
-        'other1.recursion.prior_information': 'f8 (16, 16)', 'other1.recursion.doubted': 'f8 (16, 16)',
+        'other1.recursion.prior_information': 'f8 (16, 16)',
         'other1.horizon.rows': 'f8 (5, 200)',
         **{f'other{index}.{name}': layout for index in (0, 1) for name, layout in (
             ('recursion.waiting', 'i8 ()'), ('recursion.inflation', 'f8 ()'), ('recursion.renewed', 'i8 (2,)'),
-            ('recursion.compared', 'f8 (3,)'), ('horizon.filled', 'i8 ()'),
+            ('recursion.back', 'f8 (3,)'), ('horizon.filled', 'i8 ()'),
             ('horizon.start', 'i8 ()'), ('horizon.origins', 'i8 (5,)'), ('calibration.table', 'f8 (11, 6)'),
             ('wandering.table', 'f8 (16, 6)'))},
         'kept.kept': 'f8 (70, 6)', 'kept.counts': 'i8 (2,)',
