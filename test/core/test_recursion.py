@@ -195,6 +195,9 @@ def test_a_model_returns_within_a_tenth_of_a_second_where_it_is_far_better_and_n
     assert 3 <= better(load, 0.0, 100) <= max(3, 0.1 / period)
     model.go_back()
     assert better(load, 0.0, 2) is None, 'it begins anew'
+    model.go_back()
+    assert not model.compare(0.01, 3.0 * std, 0.0 * std, std) and not model.as_before_s, 'chance'
+    assert not model.compare(0.5, 3.0 * std, 0.0 * std, std) and model.as_before_s == pytest.approx(0.51)
 
 
 def test_a_change_upon_another_one_is_forgotten_and_what_was_before_both_is_known_yet():
@@ -228,6 +231,20 @@ def test_a_change_upon_another_one_is_forgotten_and_what_was_before_both_is_know
     known.update({f'before.{name}': values for name, values in known.items() if name.startswith(2 * 'before.')})
     with pytest.raises(SemiparamError, match='before three changes; expected two at most'):
         model.restore(known)
+
+
+def test_a_load_upon_another_one_comes_and_goes():
+    directions = np.random.default_rng(1).standard_normal((4, 2))
+    model, left = SemiParametricRecursion(2, 0, np.ones(4), 1.0, 0.1), []
+    for columns in np.random.default_rng(0).standard_normal((3, 30, 2, 4)):
+        for row in columns:
+            model.learn(model.predict(np.zeros(0), row), row @ np.full(4, len(left)))
+        left.append(model.theta.copy())
+        if len(left) < 3:
+            model.follow_change(directions)
+    for expected in (1, 2, 1):
+        model.go_back()
+        np.testing.assert_array_equal(model.theta, left[expected])
 
 
 def test_outputs_of_different_scales_are_those_of_one_scale_in_other_units():
