@@ -240,7 +240,7 @@ class SemiParametricRecursion:
         put down).
 
         Where this model is unsure there is little evidence: it is to learn, not to be replaced. A spike decides
-        nothing: no two samples are enough.
+        nothing: three samples are needed.
         """
         gained = sqrt(2.0) * float(((BACK * np.abs(now) - np.abs(then)) / std).sum())  # by Laplace's density
         self._back = max(self._back + min(seconds / CORRELATED_S * gained, RETURNS / 2.0), 0.0)
