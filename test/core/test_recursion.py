@@ -198,6 +198,10 @@ def test_a_model_returns_within_a_tenth_of_a_second_where_it_is_far_better_and_n
     model.go_back()
     assert not model.compare(0.01, 3.0 * std, 0.0 * std, std) and not model.as_before_s, 'chance'
     assert not model.compare(0.5, 3.0 * std, 0.0 * std, std) and model.as_before_s == pytest.approx(0.51)
+    saved = SemiParametricRecursion(2, 0, np.ones(4), 1.0, 0.1)
+    saved.restore(model.state())
+    assert saved.as_before_s == model.as_before_s
+    assert saved.compare(0.5, 3.0 * std, 0.0 * std, std)
 
 
 def test_a_change_upon_another_one_is_forgotten_and_what_was_before_both_is_known_yet():
