@@ -10,7 +10,6 @@ from collections.abc import Callable, Iterator
 from functools import partial
 
 import numpy as np
-from scipy.linalg import eigh
 
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array, Mask, Stamps
@@ -114,7 +113,7 @@ def _predicted(features: Array, targets: Array, labels: Stamps, config: Diagnosi
     for fold in range(config.structure_folds):
         rows = labels == fold
         held = scaled[rows]
-        values, vectors = eigh(total - held.T @ held)
+        values, vectors = np.linalg.eigh(total - held.T @ held)
         turned = vectors.T @ (right - held.T @ targets[rows])
         shrunk = turned / (np.maximum(values, 0.0)[:, None] + penalties[:, None, None])
         everywhere[:, rows] = (held @ vectors) @ shrunk
