@@ -21,13 +21,8 @@ from semiparam_ros.core.prediction import DesiredOutputs, MemberPrediction, Obse
 from semiparam_ros.core.recursion import Prior, Regression, Update, learn
 from semiparam_ros.core.samples import Sample
 from semiparam_ros.core.square_root_filter import Root
-from semiparam_ros.core.stamps import NANOSECONDS
 from semiparam_ros.core.types import Array, Indices, Stamps
 from semiparam_ros.core.wandering_offset import DECAY, WanderingOffset, follow
-
-COMPARED_EVERY_NS, LONGEST_COMPARED_NS = NANOSECONDS // 100, NANOSECONDS // 10
-"""A model is compared with the one from before the last change no more often, and a pause counts
-for no more."""
 
 
 class ModelState(NamedTuple):
@@ -184,14 +179,11 @@ class OnlineModel:
         recursion = self.model.recursion
         if recursion.before is None:
             return False
-        since = sample.stamp - recursion.compared_at
-        if 0 <= since < COMPARED_EVERY_NS:
+        if not (seconds := recursion.alternative.elapsed(sample.stamp)):
             return False
-        recursion.compared_at = sample.stamp
         prior = prediction.prior
         then = self.model.predict_by(recursion.before, prior.phi, prediction.columns).mean
-        seconds = min(max(since, 0), LONGEST_COMPARED_NS) / NANOSECONDS
-        return recursion.compare(seconds, sample.outputs - prior.mean, sample.outputs - then, prior.std)
+        return recursion.alternative.charge(seconds, sample.outputs - prior.mean, sample.outputs - then, prior.std)
 
     def follow_change(self, directions: Array | None = None) -> None:
         """See :meth:`~semiparam_ros.core.recursion.SemiParametricRecursion.follow_change`.

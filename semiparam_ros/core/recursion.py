@@ -34,6 +34,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg.lapack import dtrtrs
 
+from semiparam_ros.core.alternative import BETTER_TOLD, Alternative
 from semiparam_ros.core.compiled import Integers, Matrix, Vector, compiled, direct
 from semiparam_ros.core.square_root_filter import (
     Projection,
@@ -45,16 +46,6 @@ from semiparam_ros.core.square_root_filter import (
 )
 from semiparam_ros.core.types import Array, Indices
 from semiparam_ros.errors import SemiparamError
-
-CORRELATED_S = 0.25
-"""Errors of a model that is not quite true are so long the same: in that time they tell as much as one sample
-of white noise."""
-BACK = 0.5
-"""Errors of the model in force count so much: of equal ones, there is no end to the chance that the other one is
-better for a while."""
-RETURNS, RETURNS_TOLD = 12.0, 3.0
-"""[nat] Evidence of the model from before the last change over that of the model in force with which it returns,
-and where the robot is told to have changed."""
 
 TOGETHER = 3
 """Rows that a reflection takes in at a time."""
@@ -135,10 +126,8 @@ class SemiParametricRecursion:
         self._renewed = 0
         self.before: SemiParametricRecursion | None = None
         """As it was before the robot last changed, with its own :attr:`before`, which has none."""
-        self.compared_at = 0
-        """[ns] Stamp of the last sample at which the two were compared."""
-        self._back = self._back_s = 0.0
-        """[nat] Evidence of :attr:`before` over that of this model, since the time at which it is largest, [s] ago."""
+        self.alternative = Alternative()
+        """Evidence of :attr:`before` over this model."""
         self._of_any_kind = False
         """Whether the last change left everything in doubt."""
         self._prior_information: Array = np.diag(self._prior_std**-2)
@@ -192,7 +181,7 @@ class SemiParametricRecursion:
             much as the prior expects of any robot, the weights too.
         """
         known, self.before = self.before, None
-        self._back = self._back_s = 0.0
+        self.alternative.clear()
         self.before = deepcopy(self)
         self.before.before = known
         if known is not None:
@@ -234,23 +223,10 @@ class SemiParametricRecursion:
         information[:-1, -1] = information[:-1, :-1] @ self.theta[::-1]
         return information, kept[::-1, ::-1]
 
-    def compare(self, seconds: float, now: Array, then: Array, std: Array) -> bool:
-        """Charge what this model and the one :attr:`before` left of a sample (n,), so long after the last one,
-        by the standard deviations that this one gave to it; whether the robot is as it was before (a load was
-        put down).
-
-        Where this model is unsure there is little evidence: it is to learn, not to be replaced. A spike decides
-        nothing: three samples are needed.
-        """
-        gained = sqrt(2.0) * float(((BACK * np.abs(now) - np.abs(then)) / std).sum())  # by Laplace's density
-        self._back = max(self._back + min(seconds / CORRELATED_S * gained, RETURNS / 2.0), 0.0)
-        self._back_s = self._back_s + seconds if self._back else 0.0
-        return self._back > RETURNS
-
     @property
     def as_before_s(self) -> float:
         """[s] How long the robot is as it was before, where it is told to have changed; 0 where it is not."""
-        return self._back_s if self._back > RETURNS_TOLD else 0.0
+        return self.alternative.seconds if self.alternative.nats > BETTER_TOLD else 0.0
 
     def go_back(self) -> None:
         """Change places with the model from before; where there is none, the robot has changed.
@@ -258,7 +234,7 @@ class SemiParametricRecursion:
         Where everything was in doubt, the change is forgotten if one before it is known: it was none.
         """
         before = self.before
-        self._back = self._back_s = 0.0
+        self.alternative.clear()
         if before is None:
             self.follow_change()
             return
@@ -320,8 +296,8 @@ class SemiParametricRecursion:
     def state(self) -> dict[str, Array | Indices]:
         """Everything learnt, as arrays; :meth:`restore` takes them back bit for bit."""
         before = {} if self.before is None else self.before.state()
-        return {**self._weights.state(), 'renewed': np.array([self._renewed, self.compared_at]),
-                'back': np.array([self._back, self._back_s, self._of_any_kind]),
+        return {**self._weights.state(), 'renewed': np.array([self._renewed, self.alternative.stamp]),
+                'back': np.array([self.alternative.nats, self.alternative.seconds, self._of_any_kind]),
                 'information': self._regression.information.copy(),
                 'prior_information': self._prior_information.copy(), 'theta': self.theta.copy(),
                 **{f'before.{name}': values for name, values in before.items()}}
@@ -344,8 +320,9 @@ class SemiParametricRecursion:
                                      f'{self.n_columns} columns.')
         self.revise()
         self._weights.restore(state)
-        self._renewed, self.compared_at = np.asarray(state['renewed']).tolist()
-        self._back, self._back_s, of_any_kind = np.asarray(state['back']).tolist()
+        alternative = self.alternative = Alternative()
+        self._renewed, alternative.stamp = np.asarray(state['renewed']).tolist()
+        alternative.nats, alternative.seconds, of_any_kind = np.asarray(state['back']).tolist()
         self._of_any_kind = bool(of_any_kind)
         self._regression = self._regression._replace(
             information=np.array(state['information'], dtype=float, order='C'))

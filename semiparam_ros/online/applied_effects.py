@@ -19,6 +19,11 @@ is the log evidence [nat] for the other state: applied or not. The cumulative su
 exceeds ``SURE``, and g was last zero when it came or went. One that is tried begins with g = 0 after
 it was named: only what comes then speaks for it. One that is known, as it is or was applied, comes
 or goes only where a contact is less likely (:meth:`~semiparam_ros.online.changes.ChangeDetector.contact_rather`).
+
+That takes a second, in which a load that was put down would throw the arm about. So what predicts goes
+ahead of what is told: each sample is charged to what is known (:mod:`semiparam_ros.core.alternative`),
+which is taken off, or no more, as soon as that is clearly better. A hand that pushes like a load is
+predicted so while it lasts, and neither told nor learnt.
 """
 
 from __future__ import annotations
@@ -29,6 +34,7 @@ from typing import Any, NamedTuple, cast
 
 import numpy as np
 
+from semiparam_ros.core.alternative import Alternative
 from semiparam_ros.core.columns import CoupledColumns, Memories, Memory
 from semiparam_ros.core.robot.frames import load_in_base
 from semiparam_ros.core.robot.rigid_body import RigidBody
@@ -67,6 +73,8 @@ class KnownEffect:
     std: Array
     """(c,) standard deviations of the coefficients."""
     applied: bool = False
+    acting: bool = False
+    """Whether it is taken off now: as ``applied``, or already otherwise."""
     remembered: bool = False
     """It was applied before, and is over."""
     score: float = 0.0
@@ -83,6 +91,8 @@ class KnownEffect:
 
     leaves: Array = field(default_factory=lambda: np.zeros(1))
     """(n,) ``shares`` when it was last there, and nothing spoke against it."""
+    otherwise: Alternative = field(default_factory=Alternative)
+    """Evidence that it went, or came again, sample by sample."""
 
     @property
     def share(self) -> float:
@@ -124,7 +134,18 @@ class AppliedEffects:
     @property
     def acts(self) -> bool:
         """Whether anything is taken off."""
-        return self.provisional is not None or bool(self.applied)
+        return self.provisional is not None or any(trial.acting for trial in self.trials)
+
+    @property
+    def ahead(self) -> Array:
+        """(m,) of each trial 1 where it is taken off though it is not applied yet, -1 where it is applied and not
+        taken off any more, else 0."""
+        return np.array([float(trial.acting) - float(trial.applied) for trial in self.trials])
+
+    @property
+    def taken_ahead(self) -> Array:
+        """(n,) what is taken off the newest sample beyond what is applied: it may be what a hand does."""
+        return np.asarray(self.ahead @ self.added)
 
     def clear(self) -> None:
         """Forget all."""
@@ -148,7 +169,8 @@ class AppliedEffects:
         self.assume(None)
         self.contributions = [Contribution(each.effect, each.coefficients) for each in self.applied]
         for trial in self.trials:
-            trial.score, trial.begun = 0.0, 0
+            trial.score, trial.begun, trial.acting = 0.0, 0, trial.applied
+            trial.otherwise.clear()
 
     def taken_off(self, sample: Sample) -> tuple[Sample, Array | None]:
         """The sample without what is applied, and that (n,); None where nothing is."""
@@ -160,7 +182,7 @@ class AppliedEffects:
         self.added, self.provisional_added = self._added(columns)
         if not self.acts:
             return sample, None
-        total = self._of_applied(self.added) + self.provisional_added
+        total = self._of_acting(self.added) + self.provisional_added
         return sample._replace(outputs=sample.outputs - total), total
 
     def desired(self, position: Array, velocity: Array, acceleration: Array) -> tuple[Array, Array]:
@@ -170,7 +192,7 @@ class AppliedEffects:
             self._added(columns)
             for columns in self._columns.desired(position, velocity, acceleration, 0, 0)
         ]
-        shown, needed = (self._of_applied(added) + more for added, more in both)
+        shown, needed = (self._of_acting(added) + more for added, more in both)
         return shown, needed
 
     @property
@@ -179,7 +201,7 @@ class AppliedEffects:
         errors of the inputs leave of k, which grows with k; its share is measured."""
         variance = np.zeros(self._body.n_outputs)
         for (block, trial), added in zip(self._blocks(), self.added, strict=True):
-            if trial.applied:
+            if trial.acting:
                 of_theta = (self._newest[:, block] ** 2) @ trial.std**2
                 variance += of_theta + (trial.shares * added) ** 2
         return np.sqrt(variance)
@@ -190,9 +212,9 @@ class AppliedEffects:
         body = self._body
         bodies, bias = np.zeros(body.n_parameters), np.zeros(body.n_outputs)
         for trial, added in zip(self.trials, self.added, strict=True):
-            if trial.applied and trial.effect.is_load:
+            if trial.acting and trial.effect.is_load:
                 bodies += load_in_base(body, str(trial.effect.where), trial.coefficients)
-            elif trial.applied and trial.effect.of_sensor:
+            elif trial.acting and trial.effect.of_sensor:
                 bias += added
         if self.provisional is not None:
             bodies += load_in_base(body, self.provisional.link, self.provisional.parameters)
@@ -223,7 +245,7 @@ class AppliedEffects:
             self._changed()
             return True
         if (known.effect.kind, known.effect.where) == (effect.kind, effect.where):
-            if known.applied:
+            if known.acting:
                 self._end_contribution(known.effect, known.coefficients, now)
                 self._begin_contribution(effect, coefficients, now)
             known.effect, known.coefficients, known.std = effect, coefficients, std
@@ -233,6 +255,42 @@ class AppliedEffects:
     def drop(self, number: int) -> None:
         """Try the effect of a change no more; one that is applied stays."""
         self._keep(trial for trial in self.trials if trial.number != number or trial.applied)
+
+    def compare(self, innovation: Array, weight: Array, applies: bool = True) -> None:
+        """Charge the newest sample to what is or was applied, and take off from the next one on what came again, no
+        more what went. Whether that is so is told by :meth:`judge`: a hand may push like a load for a while.
+
+        :param innovation: (n,) without what is applied, in units of its usual size, by which ``weight`` (n,) weighs
+            outputs.
+        :param applies: False: nothing comes again.
+        """
+        if self.provisional is not None:
+            return
+        each = self.added * weight
+        now = innovation - self.ahead @ each
+        for trial, added in zip(self.trials, each, strict=True):
+            if not (trial.applied or trial.acting or (trial.remembered and applies)):
+                continue
+            then, seconds = now + added if trial.acting else now - added, trial.otherwise.elapsed(self._stamp)
+            if trial.otherwise.charge(seconds, now, then, np.ones_like(now)):
+                self._turn(trial, self._stamp)
+                break
+
+    def settle(self, now: int) -> None:
+        """Take off what is applied, and nothing else, from the sample after ``now`` [ns] on."""
+        for trial in self.trials:
+            if trial.acting != trial.applied:
+                self._turn(trial, now)
+
+    def _turn(self, trial: KnownEffect, now: int) -> None:
+        """Take it off from the sample after ``now`` [ns] on, or no more."""
+        trial.acting = not trial.acting
+        if trial.acting:
+            self._begin_contribution(trial.effect, trial.coefficients, now)
+        else:
+            self._end_contribution(trial.effect, trial.coefficients, now)
+        for other in self.trials:
+            other.otherwise.clear()
 
     def judge(
         self, block: MotionBlock, noise: float, usual: float, applies: bool = True
@@ -267,12 +325,11 @@ class AppliedEffects:
         """Apply it from the sample after ``now`` [ns] on, or take it back."""
         self.assume(None)
         trial.applied = not trial.applied
+        self.settle(now)
         if trial.applied:
             trial.begun = now
-            self._begin_contribution(trial.effect, trial.coefficients, now)
         else:
             trial.remembered, trial.squares = True, np.zeros((2, 1))
-            self._end_contribution(trial.effect, trial.coefficients, now)
             if now - trial.begun < CONTACT_S * NANOSECONDS and not trial.effect.is_load:
                 self._keep(other for other in self.trials if other is not trial)
         for other in self.trials:
@@ -296,6 +353,11 @@ class AppliedEffects:
         taken_off, load = self.contributions, self.provisional
         if load is not None:  # the model that is restored goes on without it
             taken_off = _ended(taken_off, Payload(load.link), load.parameters, self._stamp)
+        for trial in self.trials:  # and with what is applied, and nothing else
+            if trial.acting and not trial.applied:
+                taken_off = _ended(taken_off, trial.effect, trial.coefficients, self._stamp)
+            elif trial.applied and not trial.acting:
+                taken_off = [*taken_off, _begun(trial.effect, trial.coefficients, self._stamp)]
         return {
             'effects': tuple(effect_to_text(trial.effect) for trial in kept),
             'coefficients': tuple(np.array([trial.coefficients, trial.std]) for trial in kept),
@@ -318,7 +380,7 @@ class AppliedEffects:
             if type(on) is not bool:
                 raise ValueError(f"whether '{text}' is applied is {on!r}")
             (effect, values), (_, std) = (self._contribution(text, row) for row in theta)
-            self.trials.append(KnownEffect(-1 - number, effect, values, std, on, remembered=not on))
+            self.trials.append(KnownEffect(-1 - number, effect, values, std, on, acting=on, remembered=not on))
         self.contributions = [self._contribution(text, theta) for text, theta in taken_off]
         self._changed()
 
@@ -349,12 +411,15 @@ class AppliedEffects:
         blocks = self._columns.blocks
         return [(blocks[str(index)], trial) for index, trial in enumerate(self.trials)]
 
-    def _of_applied(self, added: Array) -> Array:
-        acting = np.array([trial.applied for trial in self.trials], dtype=float)
+    def _of_acting(self, added: Array) -> Array:
+        acting = np.array([trial.acting for trial in self.trials], dtype=float)
         return np.asarray(acting @ added)
 
     def _keep(self, trials: Iterable[KnownEffect]) -> None:
-        self.trials = list(trials)
+        before, self.trials = self.trials, list(trials)
+        for trial in before:
+            if trial.acting and trial not in self.trials:
+                self._end_contribution(trial.effect, trial.coefficients, self._stamp)
         self._changed()
 
     def _changed(self) -> None:
@@ -368,14 +433,18 @@ class AppliedEffects:
         self.provisional_added = np.zeros(self._body.n_outputs)
 
     def _begin_contribution(self, effect: Effect, coefficients: Array, now: int) -> None:
-        acting = replace(effect, span=Span(start_stamp_s=_after(now)))
-        self.contributions.append(Contribution(acting, coefficients))
+        self.contributions.append(_begun(effect, coefficients, now))
         if len(self.contributions) > MOST_CONTRIBUTIONS:  # the first that is over
             ended = [each.effect.ends for each in self.contributions]
             del self.contributions[ended.index(True) if any(ended) else 0]
 
     def _end_contribution(self, effect: Effect, coefficients: Array, now: int) -> None:
         self.contributions = _ended(self.contributions, effect, coefficients, now)
+
+
+def _begun(effect: Effect, coefficients: Array, now: int) -> Contribution:
+    """The contribution of an effect with these coefficients (c,) that begins at ``now`` [ns]."""
+    return Contribution(replace(effect, span=Span(start_stamp_s=_after(now))), coefficients)
 
 
 def _ended(

@@ -423,7 +423,7 @@ class ChangeWatch:
             self.forget()
             return
         detector = self._detector_of(estimator.columns)
-        change = detector.see(*self._with_provisional(*part), self.applied.added, self.applied.spread)
+        change = detector.see(*self._as_told(*part), self.applied.added, self.applied.spread)
         self._now = prediction.sample.stamp
         block = detector.finished
         self._moved_s += BLOCK_S * (block is not None)
@@ -439,6 +439,8 @@ class ChangeWatch:
             self._record(change)
         if block is not None and detector.judges:
             self._judge(detector, block)
+        elif detector.weighed:
+            self.applied.compare(*detector.weighed, self.applies)
         if block is not None and detector.knows:
             held = self.holds
             self._hold(detector)
@@ -543,22 +545,23 @@ class ChangeWatch:
         """Let the model learn what no effect of the robot explains; with it another error is usual."""
         self.holds, self._held_s, self.follows = False, 0.0, Learning.AFTER_CHANGE
         self.applied.assume(None)
+        self.applied.settle(self._now)
         if self.detector is not None:
             self.detector.learn_usual()
 
-    def _with_provisional(self, prediction: Prediction, model: Model) -> tuple[Prediction, Model]:
-        """What the detector judges: it follows a load itself until that is named."""
+    def _as_told(self, prediction: Prediction, model: Model) -> tuple[Prediction, Model]:
+        """What the detector judges: without what is applied, and nothing else. It follows a load itself."""
         sample, applied = prediction.sample, self.applied
-        if applied.provisional is None:
+        if applied.provisional is None and not applied.ahead.any():
             return prediction, model
-        sample = sample._replace(outputs=sample.outputs + applied.provisional_added)
+        sample = sample._replace(outputs=sample.outputs + applied.provisional_added + applied.taken_ahead)
         return prediction._replace(sample=sample), model
 
     def _assume(self, detector: ChangeDetector) -> None:
         """Take off a load that was told, as long as it waits for its name."""
         followed, load = detector.followed, detector.load if self.holds else None
         record = None if followed is None else self.records.get(followed.change.number)
-        if followed is None or record is None or load is None or (record.times_named and (
+        if followed is None or record is None or load is None or self.applied.ahead.any() or (record.times_named and (
             record.effect is None or not record.effect.is_load
         )):
             self.applied.assume(None)

@@ -307,6 +307,8 @@ class ChangeDetector:
         self._power: deque[float] = deque(maxlen=USUAL * max(LENGTHS))
         self._innovations: deque[float] = deque(maxlen=USUAL * max(LENGTHS))
         """Weighed squares of free blocks, and of their innovations."""
+        self._per_block, self._usual_size = 1, 0.0
+        """Samples of the last block, and the root mean square of what is left of one, in its standard deviations."""
         self._noise_std: Array | None = None
         """(n,) of the first model: the scale of all that is usual."""
         self._model: Model | None = None
@@ -351,6 +353,9 @@ class ChangeDetector:
         while they are one."""
         self.finished: MotionBlock | None = None
         """The block that the newest sample finished, None where it did not."""
+        self.weighed: tuple[Array, Array] | None = None
+        """(n,) innovation of the newest sample in units of its usual size, also in motion never seen, and what to weigh
+        others by; None where the robot stands, or before anything is usual."""
         self._begin_block()
 
     @property
@@ -374,7 +379,7 @@ class ChangeDetector:
         self._turned: Array = np.zeros((n, 0))
         self._mapped_at, self._moved = 0.0, self._own.copy()
         self._added = np.zeros((0, 2, n))
-        self._seconds, self._start = 0.0, 0
+        self._seconds, self._start, self._samples = 0.0, 0, 0
 
     @property
     def knows(self) -> bool:
@@ -415,7 +420,7 @@ class ChangeDetector:
             add to the outputs. :param spread: (n,) standard deviation of those that were taken off.
         """
         sample, theta = prediction.sample, model.theta
-        self.finished = None
+        self.finished = self.weighed = None
         seconds, self._newest = observed_s(sample.stamp, self._newest), sample.stamp
         speed = np.abs(sample.velocity)
         if not prediction.ready or prediction.off or float(speed.max()) < SPEEDS[0]:
@@ -430,13 +435,15 @@ class ChangeDetector:
         weight = model.noise_std / (self._noise_std * np.hypot(prediction.model_std, spread))
         if self._joints is not None:  # what holds a joint that rests tells nothing
             weight = weight * (speed[self._joints] > SPEEDS[0])
-        if self._familiar < UNSEEN_S:
-            weight = weight / UNSEEN_FACTOR
+        doubt = UNSEEN_FACTOR if self._familiar < UNSEEN_S else 1.0
         if self._reference is None:
             self._refer()
             self._began = model.theta.copy()
         assert self._reference is not None
-        self._add(prediction, self._reference, weight, added)
+        self._add(prediction, self._reference, weight / doubt, added)
+        if self._usual_size:
+            left = self._newest_left / self._usual_size
+            self.weighed = left * weight, weight / self._usual_size
         self._start = self._start or sample.stamp
         self._seconds += seconds
         return None if self._seconds < BLOCK_S - 1e-6 else self._finish_block(sample.stamp, theta)
@@ -466,7 +473,9 @@ class ChangeDetector:
             )
             self._mapped_at = self._seconds
         rows = np.hstack([columns[:, : self._n_own], self._turned]) * weight[:, None]
-        left = (sample.outputs - columns @ reference - self._turned @ self._known_turns) * weight
+        self._newest_left = sample.outputs - columns @ reference - self._turned @ self._known_turns
+        left = self._newest_left * weight
+        self._samples += 1
         self._gram += rows.T @ rows
         self._moment += left @ rows
         time = self._seconds / BLOCK_S
@@ -511,6 +520,7 @@ class ChangeDetector:
             self._wrench,
             self._added,
         )
+        self._per_block = self._samples
         self._begin_block()
         self._began = theta.copy()
         return block
@@ -562,6 +572,7 @@ class ChangeDetector:
         if self.followed is None:
             self.touched = False
             self._power.append(float(block.own[-1].sum()))
+            self._usual_size = float(np.sqrt(np.median(self._power) / (self._per_block * len(self._names))))
             self._innovations.append(block.innovation[1])
         if self._held:  # charge what the model from before leaves, with the change that is followed
             left = float(block.own[-1].sum() - self._gained(self.followed)[-1])

@@ -61,7 +61,7 @@ class Answer(NamedTuple):
     contact_level: Array  # (n,) residual over the gate's threshold; 0 where it does not judge
     places: Array  # (n_links,) how likely the contact is at each link of the gate's places
     contact_s: float  # since the contact began
-    followed: Array  # (n,) what the wandering offset took that may be a push: nothing behind a contact gate
+    followed: Array  # (n,) what was predicted and may be a push, by the offset without a gate, or ahead of what is told
 
     @property
     def learnt(self) -> bool:
@@ -171,7 +171,9 @@ class Learner:
             self.lost += 1
             return
         changes = self.gate.changes
-        contact = self.gate.judge(prediction, self.settings, self._renewal.unsettled)
+        ahead = self.changes.applied.taken_ahead  # a hand may do that
+        as_told = prediction._replace(sample=sample._replace(outputs=sample.outputs + ahead))
+        contact = self.gate.judge(as_told, self.settings, self._renewal.unsettled)
         if self.gate.changes > changes:
             learnt = 'is learnt once it is told' if self.changes.holds else 'is learnt'
             self._listener.announce(
@@ -186,7 +188,7 @@ class Learner:
         self.changes.begins_to_hold &= learning != Learning.TAKEN_BACK
         answer = Answer(self._as_measured(prediction, of_tools, of_changes), sample.outputs - prediction.mean,
                         standardised_innovation(prediction), learning, contact, self.gate.level, *self.gate.places(),
-                        (prediction.mean - prediction.model_mean) * (not self.settings.gate_enabled))
+                        (prediction.mean - prediction.model_mean) * (not self.settings.gate_enabled) + ahead)
         self._emit(answer)  # before learning, which takes as long as predicting
         self._look_for_changes(prediction)
         if self._observe(prediction, learning):
