@@ -26,12 +26,12 @@ PAGES = sorted([REPOSITORY / 'README.md', REPOSITORY / 'CONTRIBUTING.md',
 NAMES = [str(page.relative_to(REPOSITORY)) for page in PAGES]
 PARSED = {'benchmarks.md', 'comparison.md', 'robustness.md', 'replay.md', 'ros_interface.md',
           'node.md', 'diagnosis.md'}
-LONGEST = 35
-"""Words of a sentence."""
 """Pages of reference, whose commands take minutes or name files of yours: they are parsed."""
 LONG = {'temperature.md', 'changes.md', 'export.md', 'efforts.md', 'json.md', 'plot.md', 'save_and_load.md',
-        'switch_variants.md'}
-"""Pages whose commands other tests run with other recordings: they are parsed, and run in the long form."""
+        'switch_variants.md', 'outside_forces.md', '1_replay.md', '3_close_the_loop.md'}
+"""Pages whose commands other pages or tests run with other recordings: they are parsed, and run in the long form."""
+LONGEST = 35
+"""Words of a sentence."""
 UNTESTED = 33
 """Blocks that need what no test has. A new one is a decision: count it here."""
 

@@ -254,7 +254,7 @@ def test_pip_installs_its_own_copy_with_the_data(prefix):
     assert (Path(where.strip()).parent / 'py.typed').is_file()
 
 
-@pytest.fixture(scope='module', params=['copied', 'symlinked'])
+@pytest.fixture(scope='module', params=['copied', pytest.param('symlinked', marks=pytest.mark.long)])
 def workspace(request, tmp_path_factory) -> Path:
     """A colcon workspace with the package in it, built."""
     folder = tmp_path_factory.mktemp('colcon')

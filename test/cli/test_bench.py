@@ -126,6 +126,7 @@ def test_a_recording_hardly_longer_than_its_window_is_refused(params, tmp_path, 
     assert 'expected at least 50 more' in refusal(capsys, 'bench', '--peers', short, '--params', params)
 
 
+@pytest.mark.long
 def test_peers_get_friction_and_offsets_of_joints_as_ours():
     """They had the bare rigid body: errors of 0.080 where ours had 0.007."""
     peers = pytest.importorskip('semiparam_ros.experiments.peers')

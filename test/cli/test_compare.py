@@ -364,7 +364,7 @@ def test_a_finding_that_does_not_hold_is_said_not_to(change, fails):
     assert f'{5 - len(fails)} of 5 findings' in verdict(figures, findings)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_findings_on_the_bundled_recordings(repository, tmp_path):
     """All seven models over two feature draws, with fewer features and shorter parts than the default: the paper's
     findings hold, P's error is a multiple of the others', and the bands hold what they promise on the known motion."""

@@ -33,8 +33,8 @@ def commands(repository):
     return {words[2].removeprefix('bags/').removesuffix('.mcap'): words[3:] for words in lines}
 
 
-@pytest.mark.parametrize('name', ['icub_xy', pytest.param('icub_xz', marks=pytest.mark.long),
-                                  'icub_undeclared'])
+@pytest.mark.parametrize('name', [pytest.param('icub_xy', marks=pytest.mark.long),
+                                  pytest.param('icub_xz', marks=pytest.mark.long), 'icub_undeclared'])
 def test_bundled_recordings_are_made_again(repository, tmp_path, name):
     bundled, again = repository / 'bags' / f'{name}.mcap', tmp_path / 'again.mcap'
     assert main(['simulate', str(again), *commands(repository)[name]]) == 0

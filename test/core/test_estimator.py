@@ -473,7 +473,8 @@ def test_every_variant_learns_an_effect_that_begins_after_the_window(trained, ar
     assert len(model.hyperparameters().pi or ()) == {'absent': 0}.get(model.variant.pi, model.columns.n_own)
 
 
-@pytest.mark.parametrize('effect', ['payload@r_hand', 'payload@r_hand{"start_s": 15}', 'sensor_drift'])
+@pytest.mark.parametrize('effect', [
+    'payload@r_hand', 'payload@r_hand{"start_s": 15}', pytest.param('sensor_drift', marks=pytest.mark.long)])
 def test_an_effect_that_the_window_cannot_tell_or_does_not_see_explodes_in_no_variant(trained, arm, recording, effect):
     """With the columns of effects among the fixed ones, SP and SP2 took what the window left open for any size."""
     model = declaring(trained, arm, effect)

@@ -23,7 +23,7 @@ JOINTS = ('r_shoulder_pitch', 'r_shoulder_roll', 'r_shoulder_yaw', 'r_elbow')
 PICKED_UP_S = 42.0
 
 
-@pytest.mark.parametrize('seed', [0, 1])
+@pytest.mark.parametrize('seed', [0, pytest.param(1, marks=pytest.mark.long)])
 def test_a_load_is_named_where_the_dry_friction_of_the_joints_sticks(seed):
     """Of the columns that stand for a joint's dry friction some may be negative beside the load;
     the load was then refused, and a force told in its place."""

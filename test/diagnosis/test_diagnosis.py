@@ -1,6 +1,5 @@
 """The loop on simulated recordings with known hidden causes, on the measured iCub arm, and its numbers one by one."""
 
-import argparse
 import json
 from dataclasses import replace
 from functools import cache
@@ -9,7 +8,7 @@ import numpy as np
 import pytest
 
 from semiparam_ros.bags.loading import load_samples
-from semiparam_ros.cli.diagnose import diagnose_bag, show, write_parameters
+from semiparam_ros.cli.diagnose import show, write_parameters
 from semiparam_ros.cli.main import main
 from semiparam_ros.cli.options import write_json
 from semiparam_ros.core.columns import CoupledColumns
@@ -63,7 +62,7 @@ def found_in(simulated, **options):
 # --- hidden causes: named, placed, measured ---
 
 
-@pytest.mark.parametrize(('seed', 'encoder_noise'), [(905, 1.0), (901, 2.0)])
+@pytest.mark.parametrize(('seed', 'encoder_noise'), [pytest.param(905, 1.0, marks=pytest.mark.long), (901, 2.0)])
 def test_noise_in_the_inputs_is_no_delay(seed, encoder_noise):
     """Interpolating a little to the past averages the noise of accelerations: a delay of 1 % of a step fits better."""
     clean = simulate(Scenario(outputs='effort', seed=seed, encoder_noise=encoder_noise))
@@ -71,15 +70,16 @@ def test_noise_in_the_inputs_is_no_delay(seed, encoder_noise):
     assert not found_in(clean, only=['time_delay']).findings
 
 
-@pytest.mark.parametrize('outputs', ['wrench', 'effort'])
+@pytest.mark.parametrize('outputs', [pytest.param('wrench', marks=pytest.mark.long), 'effort'])
 def test_what_errors_of_fast_motion_leave_is_no_effect_and_the_remedy_is_said(outputs):
     body = RigidBody.from_urdf(ICUB_OWN.read_text(), ICUB_JOINTS, outputs, ICUB_SENSOR if outputs == 'wrench' else None)
-    fast, slow = (diagnose(body, as_recorded(body, smooth_motion(4, 1500, speed=speed))) for speed in (5.0, 0.5))
+    fast, slow = (diagnose(body, as_recorded(body, smooth_motion(4, 800, speed=speed))) for speed in (5.0, 0.5))
     assert fast.verdict == slow.verdict == 'nothing_missing'
     assert any('too fast for 20 Hz' in note and 'measure them' in note for note in fast.notes)
     assert not any('too fast' in note for note in slow.notes)
 
 
+@pytest.mark.long
 def test_an_output_of_which_errors_of_the_motion_explain_less_is_looked_at_beside_others():
     """Motion that was too fast for one output silenced what was left of all."""
     body = RigidBody.from_urdf(ICUB_OWN.read_text(), ICUB_JOINTS, 'effort')
@@ -92,7 +92,8 @@ def test_an_output_of_which_errors_of_the_motion_explain_less_is_looked_at_besid
     assert any('too fast for 20 Hz' in note for note in found.notes)
 
 
-@pytest.mark.parametrize(('rate', 'speed', 'most'), [(100.0, 5.0, 1), (500.0, 2.5, 11)])
+@pytest.mark.parametrize(('rate', 'speed', 'most'), [
+    (100.0, 5.0, 1), pytest.param(500.0, 2.5, 11, marks=pytest.mark.long)])
 def test_means_of_fast_motion_are_no_gain(rate, speed, most):
     """Over a working sample of 40 Hz the outputs of motion of 1 to 4 Hz curve more than the motion does, so means of
     both told false gains and forces of 11 to 70 nat, and `unexplained`."""
@@ -103,21 +104,22 @@ def test_means_of_fast_motion_are_no_gain(rate, speed, most):
     assert found.inputs.factor <= most
 
 
-def test_what_was_found_shows_that_the_motion_is_too_fast_for_the_working_rate():
+def test_what_was_found_shows_that_the_motion_is_too_fast_for_the_working_rate(long):
     """A delay of all efforts hid it, and false gains stood beside the delay."""
     body = RigidBody.from_urdf(ICUB_OWN.read_text(), ICUB_JOINTS, 'effort')
     fast = as_recorded(body, smooth_motion(4, 15000, rate=500.0, speed=2.5), noise=0.003)
-    found = diagnose(body, replace(fast, outputs=np.roll(fast.outputs, 3, axis=0))[3:])
+    found = diagnose(body, replace(fast, outputs=np.roll(fast.outputs, 3, axis=0))[3:],
+                     only=() if long else ('time_delay', 'effort_gain'))
     assert [finding.effect.kind for finding in found.findings] == ['time_delay']
     assert found.findings[0].parameters['delay_s'].value == pytest.approx(0.006, abs=1e-4)
 
 
 @pytest.mark.parametrize('kind', ['viscous_friction', 'coulomb_friction'])
-def test_friction_stands_alone_where_accelerations_are_estimated(kind):
+def test_friction_stands_alone_where_accelerations_are_estimated(kind, long):
     """A small delay averaged the noise of estimated accelerations, and coarse samples bent the turning over."""
     made = simulate(Scenario(samples=2000, outputs='effort', effects=(EffectRequest(kind),), seed=1,
                              accelerations=False))
-    found = diagnose(body_of(made), samples_of(made))
+    found = found_in(made, only=() if long else (kind, 'time_delay', 'stribeck_friction', 'backlash'))
     named = [(finding.effect.kind, finding.effect.where) for finding in found.findings]
     assert named == [(kind, made.truth[0]['where'])]
 
@@ -151,7 +153,7 @@ def test_nothing_is_found_in_errors_of_accelerations_or_in_noise_of_long_memory(
 
 
 def test_errors_of_estimated_accelerations_are_no_force_beside_friction():
-    recording = simulate(Scenario(motion='circle_xy', samples=4000, seed=11, outputs='effort', accelerations=False,
+    recording = simulate(Scenario(motion='circle_xy', samples=2000, seed=11, outputs='effort', accelerations=False,
                                   effects=(EffectRequest('coulomb_friction'),)))
     body, samples = body_of(recording), samples_of(recording)
     diagnosis = diagnose(body, samples, only=('coulomb_friction', 'external_force'))
@@ -162,7 +164,7 @@ def test_errors_of_estimated_accelerations_are_no_force_beside_friction():
 def test_a_cable_that_drags_towards_its_anchor_stands_alone():
     """Dragging in every direction explained half of it, and crosstalk or a second cable beside it some of the rest."""
     hidden_cable = (EffectRequest('cable_hysteresis'),)
-    recording = simulate(Scenario(motion='circle_xy', samples=2000, seed=10, effects=hidden_cable))
+    recording = simulate(Scenario(motion='circle_xy', samples=1000, seed=10, effects=hidden_cable))
     found = diagnose(body_of(recording), samples_of(recording), only=('cable_hysteresis', 'sensor_crosstalk'))
     cable, = found.findings
     truth, (azimuth, elevation, nearness) = recording.truth[0], (cable.effect.value(name) for name in (
@@ -172,7 +174,8 @@ def test_a_cable_that_drags_towards_its_anchor_stands_alone():
     np.testing.assert_allclose(along / nearness, truth['parameters']['anchor']['value'], atol=0.05)  # [m]
 
 
-@pytest.mark.parametrize(('outputs', 'force'), [('wrench', [0.6, -0.3, 0.3]), ('effort', [6.0, 3.0, -5.0])])
+@pytest.mark.parametrize(('outputs', 'force'), [
+    pytest.param('wrench', [0.6, -0.3, 0.3], marks=pytest.mark.long), ('effort', [6.0, 3.0, -5.0])])
 def test_a_push_beside_every_link_is_found_and_is_no_wrong_description(outputs, force):
     """Between the links' origins, and so strong that the arm's own weight hardly shows."""
     recording = simulate(Scenario(samples=SAMPLES, outputs=outputs, seed=2))
@@ -203,12 +206,12 @@ def test_a_wrong_description_is_not_taken_for_an_effect(force):
     assert not found.steps
 
 
-def test_the_zeros_of_several_joints_are_found_together():
+def test_the_zeros_of_several_joints_are_found_together(long):
     """Their sum resembles crosstalk and springs more than any one of them."""
     joints = ('r_shoulder_pitch', 'r_shoulder_roll', 'r_shoulder_yaw')
     turned = tuple(EffectRequest('joint_offset', size=1.5, where=joint) for joint in joints)
-    recording = simulate(Scenario(samples=SAMPLES, seed=1, effects=turned))
-    found = found_in(recording)
+    recording = simulate(Scenario(samples=700, seed=1, effects=turned))
+    found = found_in(recording, only=() if long else ('joint_offset', 'sensor_crosstalk', 'cable_spring'))
     assert [(finding.effect.kind, finding.effect.where) for finding in found.findings] == [
         ('joint_offset', joint) for joint in joints]
     true = [truth['parameters']['offset']['value'] for truth in recording.truth]
@@ -236,8 +239,8 @@ def payload():
 
 
 @pytest.fixture(scope='module')
-def joint_offset():
-    return found_in(OFFSET())
+def joint_offset(long):
+    return found_in(OFFSET(), only=() if long else ('joint_offset', 'sensor_crosstalk', 'cable_spring'))
 
 
 @pytest.fixture(scope='module')
@@ -575,12 +578,13 @@ def test_a_gap_is_named_and_what_is_beside_it_takes_no_part():
 # --- the measured iCub arm ---
 
 @pytest.fixture(scope='module')
-def measured(measured_icub, tmp_path_factory):
+def measured(measured_icub, tmp_path_factory, long):
     """Diagnosed on the training file alone, judged on the test file: the folder and the report."""
     folder = tmp_path_factory.mktemp('diagnosed')
+    among = [] if long else ['--kinds', 'sensor_crosstalk', 'cable_spring', 'joint_offset']
     assert main(['diagnose', str(measured_icub / 'train.mcap'), '--judge', str(measured_icub / 'test.mcap'), '--params',
                  str(measured_icub / 'icub.yaml'), '--json', str(folder / 'report.json'), '--output',
-                 str(folder / 'found.yaml'), '--html', str(folder / 'page.html')]) == 0
+                 str(folder / 'found.yaml'), '--html', str(folder / 'page.html'), *among]) == 0
     return folder, json.loads((folder / 'report.json').read_text())
 
 
@@ -597,7 +601,7 @@ def test_effects_that_only_resemble_an_unlisted_cause_are_not_called_found(capsy
     assert '--variants SPK-ML judges it' in capsys.readouterr().out
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_an_effect_that_holds_beside_a_function_is_told_where_that_explains_more(measured_icub):
     """All were taken back, and with them a quarter of the error on other blocks."""
     settings = load_params(measured_icub / 'icub.yaml')
@@ -609,10 +613,11 @@ def test_an_effect_that_holds_beside_a_function_is_told_where_that_explains_more
 
 
 @pytest.mark.slow
-def test_an_effect_of_half_a_percent_of_the_error_is_found():
+def test_an_effect_of_half_a_percent_of_the_error_is_found(long):
     """The evidence for it is overwhelming, and it helps on every block."""
     found = found_in(simulate(Scenario(motion='circle_xy', samples=4000, outputs='effort', seed=3,
-                                       effects=(EffectRequest('gravity_tilt', size=0.5),))))
+                                       effects=(EffectRequest('gravity_tilt', size=0.5),))),
+                     only=() if long else ('gravity_tilt', 'joint_offset'))
     first = found.findings[0]
     assert 'gravity_tilt' in {first.effect.kind, *(rival.kind for rival in first.rivals)}
     assert 0.9 < found.after.nmse.mean() / found.before.nmse.mean() < 1.0
@@ -620,7 +625,7 @@ def test_an_effect_of_half_a_percent_of_the_error_is_found():
 
 @pytest.mark.slow
 def test_friction_that_differs_between_directions_is_not_split_where_that_explains_less():
-    found = found_in(simulate(Scenario(motion='circle_xy', samples=2000, outputs='effort', seed=1,
+    found = found_in(simulate(Scenario(motion='circle_xy', samples=800, outputs='effort', seed=1,
                                        effects=(EffectRequest('asymmetric_friction', size=0.5),))))
     assert found.findings[0].effect.kind == 'asymmetric_friction'
 
@@ -655,12 +660,12 @@ def test_the_written_parameters_carry_the_gain_into_the_other_commands(measured,
     assert '<svg' in (folder / 'page.html').read_text()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_features_with_the_effects_carry_over_better_than_features_alone(measured_icub):
     """The same draws without and with the effects, judged as the node runs them."""
     settings = load_params(measured_icub / 'icub.yaml')
-    diagnosis = diagnose_bag(argparse.Namespace(bags=[measured_icub / 'train.mcap'], judge=measured_icub / 'test.mcap',
-                                                split=None, kinds=['joint_offset'], inside=[]), settings)
+    train, test = (load_samples(measured_icub / f'{name}.mcap', settings).samples for name in ('train', 'test'))
+    diagnosis = diagnose(build_rigid_body(settings), train[:1000], other=('test', test[:600]), only=['joint_offset'])
     shown = []
     judged = evaluate_variants(replace(settings, features_count=20, initial_samples=300), diagnosis, ['P', 'SPK-ML'], 1,
                                lambda done, total: shown.append((done, total)))

@@ -37,7 +37,7 @@ def names(found):
     return [(finding.effect.kind, finding.effect.where) for finding in found.findings]
 
 
-@pytest.mark.parametrize('outputs', ['wrench', 'effort'])
+@pytest.mark.parametrize('outputs', [pytest.param('wrench', marks=pytest.mark.long), 'effort'])
 def test_a_joint_that_moves_with_the_motor_before_it(outputs):
     """The encoders sit at the motors: what they show of the joint lacks the other's share."""
     _, body, samples = recorded(outputs)

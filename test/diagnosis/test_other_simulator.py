@@ -12,7 +12,7 @@ mujoco = pytest.importorskip('mujoco', reason='MuJoCo is not installed')
 from semiparam_ros.diagnosis.diagnose import diagnose  # noqa: E402
 from support.mujoco_arm import GRAVITY, Robot, recording  # noqa: E402
 
-SECONDS = 20.0
+SECONDS, LONG_S = 14.0, 20.0
 HALF_S = SECONDS / 2
 RUBBING = ('viscous_friction', 'coulomb_friction', 'asymmetric_friction', 'stribeck_friction',
            'load_friction', 'backlash', 'joint_spring')
@@ -48,8 +48,8 @@ def pushing(link, force, from_s=0.0):
 @pytest.fixture(scope='module')
 def diagnosed(long):
     """Diagnoses what a robot records: among the kinds told, or among all of them in the long form."""
-    def run(robot, *rivals, **hidden):
-        samples = recording(robot, seconds=SECONDS, **hidden)
+    def run(robot, *rivals, seconds=LONG_S if long else SECONDS, **hidden):
+        samples = recording(robot, seconds=seconds, **hidden)
         found = diagnose(robot.body, samples, only=() if long else rivals)
         assert not found.setup
         return found
@@ -79,6 +79,7 @@ def test_friction_of_a_joint_of_an_ur3(ur3, diagnosed):
     assert values(found.findings[0], 'viscous') == pytest.approx([1.5], rel=0.01)
 
 
+@pytest.mark.long
 def test_dry_friction_that_turns_softly(ur3, diagnosed):
     """MuJoCo's dry friction is a soft constraint: it turns over within 0.1 rad/s on a light arm."""
     def worn(spec):
@@ -101,17 +102,18 @@ def test_a_base_that_is_not_level(ur3, diagnosed):
     assert values(found.findings[0], 'tilt_x', 'tilt_y') == pytest.approx([0.0, tilt], abs=0.002)
 
 
+@pytest.mark.long
 def test_a_push_from_half_time_on(ur3, diagnosed):
     """So strong that no inertias explain the efforts."""
     force = (0.0, 8.0, -10.0)
     found = diagnosed(ur3, 'external_force', 'payload', 'joint_offset', 'effort_offset', 'gravity_tilt',
-                      act=pushing('wrist_3_link', force, HALF_S))
+                      act=pushing('wrist_3_link', force, 0.5 * LONG_S), seconds=LONG_S)
     assert named(found)[0] == ('external_force', 'wrist_3_link')
     assert values(found.findings[0], 'force_x', 'force_y', 'force_z') == pytest.approx(force, abs=0.05)
-    assert found.findings[0].effect.start_s == pytest.approx(HALF_S, abs=2.5)
+    assert found.findings[0].effect.start_s == pytest.approx(0.5 * LONG_S, abs=2.5)
 
 
-@pytest.mark.parametrize('mass', [0.5, 2.5])
+@pytest.mark.parametrize('mass', [pytest.param(0.5, marks=pytest.mark.long), 2.5])
 def test_what_a_hand_picks_up_is_weighed_by_a_wrist_sensor(wrist, diagnosed, mass):
     """More than the hand itself: nothing was found, or a cable, of what weighs as much as all that the sensor feels."""
     def load(spec):
@@ -129,6 +131,7 @@ def test_what_a_hand_picks_up_is_weighed_by_a_wrist_sensor(wrist, diagnosed, mas
     assert values(found.findings[0], 'mass') == pytest.approx([mass], rel=0.01)
 
 
+@pytest.mark.long
 def test_a_spring_between_the_hand_and_the_room(diagnosed):
     anchor = []
 
@@ -155,6 +158,7 @@ def test_a_hand_in_water(diagnosed):
     assert values(found.findings[0], 'drag') == pytest.approx([3.0], rel=0.03)
 
 
+@pytest.mark.long
 def test_zeros_of_several_encoders(diagnosed):
     offsets = np.radians([2.0, 1.5, -2.0, 0.0])
     found = diagnosed(ICUB, zeros=-offsets)
@@ -164,7 +168,7 @@ def test_zeros_of_several_encoders(diagnosed):
 
 def test_late_efforts_of_joints_with_friction(ur3, long):
     """Joint by joint, a delay looks like bristles that bend before they slide."""
-    samples = recording(ur3, seed=1, seconds=SECONDS)
+    samples = recording(ur3, seed=1, seconds=LONG_S if long else SECONDS)
     rubbing = 1.5 * np.tanh(samples.velocity / 0.02) + samples.velocity
     late = np.concatenate([samples.outputs[:2], (samples.outputs + rubbing)[:-2]])
     dry = {'coulomb_friction': 'coulomb', 'stribeck_friction': 'coulomb'}

@@ -85,7 +85,8 @@ def test_a_load_that_comes_again_is_another_one():
     assert told[1][0] == pytest.approx(0.65 * END_S, abs=0.15) and told[1][1] is None
 
 
-@pytest.mark.parametrize('span', [(None, 0.6 * END_S), (0.3 * END_S, 0.7 * END_S)])
+@pytest.mark.parametrize('span', [
+    pytest.param((None, 0.6 * END_S), marks=pytest.mark.long), (0.3 * END_S, 0.7 * END_S)])
 def test_a_force_that_ends_is_one_force_with_its_times(span):
     samples = carrying()
     force = kinds()['external_force']('tool', span=Span(span[0], end_s=span[1]))

@@ -23,11 +23,14 @@ estimator:
     {outputs}
     temperatures: [{temperatures}]
 """
+LIKE = {'effort': ('viscous_friction', 'coulomb_friction', 'load_friction', 'effort_offset'),
+        'wrench': ('thermal_drift', 'sensor_drift', 'sensor_offset')}
 
 
-@pytest.mark.parametrize(('outputs', 'kind', 'samples'), [('effort', 'temperature_friction', '1500'),
-                                                          ('wrench', 'temperature_drift', '3000')])
-def test_a_bag_tells_what_follows_its_temperature(tmp_path, outputs, kind, samples):
+@pytest.mark.parametrize(('outputs', 'kind', 'samples'), [
+    ('effort', 'temperature_friction', '1500'),
+    pytest.param('wrench', 'temperature_drift', '3000', marks=pytest.mark.long)])
+def test_a_bag_tells_what_follows_its_temperature(tmp_path, outputs, kind, samples, long):
     """Found, and nothing beside it; the parameter file declares it with the temperature that it counts from."""
     bag, params, found = tmp_path / 'a.mcap', tmp_path / 'p.yaml', tmp_path / 'found.yaml'
     where = '@r_elbow' if outputs == 'effort' else ''
@@ -37,8 +40,9 @@ def test_a_bag_tells_what_follows_its_temperature(tmp_path, outputs, kind, sampl
         joints=', '.join(ICUB_JOINTS), temperatures='r_elbow' if outputs == 'effort' else ICUB_SENSOR,
         outputs='outputs: effort' if outputs == 'effort' else
         f'sensor_frame: {ICUB_SENSOR}\n    wrench_convention: reaction'))
+    among = [] if long else ['--kinds', kind, *LIKE[outputs]]
     assert main(['diagnose', str(bag), '--params', str(params), '-o', str(found),
-                 '--json', str(tmp_path / 'd.json')]) == 0
+                 '--json', str(tmp_path / 'd.json'), *among]) == 0
     told = json.loads((tmp_path / 'd.json').read_text())
     assert [(each['kind'], each['where']) for each in told['effects']] == [(kind, 'r_elbow' if where else None)]
     truth = json.loads((tmp_path / 'truth.json').read_text())['effects'][0]['parameters']
@@ -57,16 +61,18 @@ def test_temperatures_alone_are_no_finding():
     assert found.verdict == 'nothing_missing'
 
 
-def test_friction_without_warming_is_plain_although_temperatures_are_recorded():
+def test_friction_without_warming_is_plain_although_temperatures_are_recorded(long):
     recording = simulate(Scenario(samples=1500, outputs='effort', seed=7, temperatures=True,
                                   effects=(EffectRequest('viscous_friction', 'r_elbow'),)))
-    found = diagnose(body_of(recording), samples_of(recording))
+    among = () if long else ('temperature_friction', *LIKE['effort'])
+    found = diagnose(body_of(recording), samples_of(recording), only=among)
     assert [finding.effect.kind for finding in found.findings] == ['viscous_friction']
 
 
-def test_drift_in_time_is_told_from_what_follows_the_temperature():
+def test_drift_in_time_is_told_from_what_follows_the_temperature(long):
     recording = simulate(Scenario(samples=1500, seed=8, temperatures=True, effects=(EffectRequest('thermal_drift'),)))
-    found = diagnose(body_of(recording), samples_of(recording))
+    among = () if long else ('temperature_drift', *LIKE['wrench'])
+    found = diagnose(body_of(recording), samples_of(recording), only=among)
     assert [finding.effect.kind for finding in found.findings] == ['thermal_drift']
 
 

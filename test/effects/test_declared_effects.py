@@ -9,7 +9,7 @@ from support.arms import icub
 from support.effect_cases import BODIES
 
 
-@pytest.mark.parametrize('variant', ['P', 'SP-ML', 'SP2-VS'])
+@pytest.mark.parametrize('variant', ['P', pytest.param('SP-ML', marks=pytest.mark.long), 'SP2-VS'])
 def test_effects_that_the_window_does_not_excite_do_no_harm(variant, monkeypatch):
     """A load that comes later, and a friction of a joint that turned one way only."""
     monkeypatch.setattr(declared_effects, 'FEATURES', 40)

@@ -22,7 +22,8 @@ def ur3(measured_ur3):
     return [load_samples(measured_ur3 / f'{name}.mcap', Settings(outputs='effort')) for name in ('id1', 'id2')]
 
 
-@pytest.mark.parametrize('back', [False, pytest.param(True, marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize('back', [False, True])
 def test_efforts_on_another_motion_are_predicted_as_by_the_plain_model(carries_over, ur3, back):
     first, second = ur3[::-1] if back else ur3
     settings = Settings(outputs='effort', robot_description=first.robot_description)

@@ -109,6 +109,7 @@ def true_torques(samples, prepare):
     return np.array(rows)
 
 
+@pytest.mark.long
 def test_pushes_spoil_nothing():
     samples = recording(EFFORTS, seed=1, prepare=rubbing)
     outputs = samples.outputs.copy()
@@ -235,6 +236,7 @@ def joined(before, after):
                               for name in ('position', 'velocity', 'acceleration', 'outputs')})
 
 
+@pytest.mark.long
 def test_two_loads_on_a_link_begin_each_at_its_own_time():
     def twice(spec):
         loaded(spec)
@@ -248,7 +250,7 @@ def test_two_loads_on_a_link_begin_each_at_its_own_time():
 
 
 @pytest.mark.parametrize(('declared', 'within'), [
-    ('', 0.8), ('{"start_s": 15.0}', 0.0), ('{"start_stamp_s": %s}', 1e-6)])
+    ('', 0.8), ('{"start_s": 15.0}', 0.0), pytest.param('{"start_stamp_s": %s}', 1e-6, marks=pytest.mark.long)])
 def test_a_load_picked_up_later_is_told_from_the_links(declared, within):
     samples = joined(recording(WRENCH, seed=8), recording(WRENCH, seed=9, prepare=loaded))
     start = declared.replace('%s', str(samples.origin * 1e-9 + 15.0))

@@ -40,6 +40,7 @@ from support.changing_arm import (
     turned,
 )
 from support.learner_stage import Stage
+from support.loaded_stage import begun
 from support.node_helpers import InlineBackground
 
 pytestmark = pytest.mark.usefixtures('motion_as_recorded')
@@ -69,7 +70,7 @@ def returns(stage):
     return sum(answer.learning == Learning.RETURNED for answer in stage.answers)
 
 
-@pytest.mark.parametrize('variant', ['P', 'SPK-ML'])
+@pytest.mark.parametrize('variant', ['P', pytest.param('SPK-ML', marks=pytest.mark.long)])
 def test_with_report_the_model_follows_a_load_at_once_and_returns(variant):
     """It outvoted the load for minutes, and then the arm without it: .05 of the outputs' deviation in place of .02."""
     body, samples, _ = loaded(seed=4)
@@ -167,6 +168,7 @@ def test_what_was_told_alone_is_in_doubt(kind, outputs):
         assert np.linalg.matrix_rank(found) < columns.n_own
 
 
+@pytest.mark.long
 def test_a_load_that_comes_again_ends_no_earlier_change():
     """The model with it returned, and a cable that still held the arm was told as over."""
     (body, samples, _), (_, later, _) = loaded(), loaded((112.0, 130.0))
@@ -182,6 +184,7 @@ def test_a_load_that_comes_again_ends_no_earlier_change():
     assert again.effect is not None and again.effect.kind == 'payload'
 
 
+@pytest.mark.long
 def test_the_end_of_a_load_is_told_as_that_though_the_sensor_has_changed_since():
     """The model from before the last change has the load yet; its end was one more change, and the load was none."""
     body, samples, _ = loaded()
@@ -193,6 +196,7 @@ def test_the_end_of_a_load_is_told_as_that_though_the_sensor_has_changed_since()
     assert offset.effect.kind == 'sensor_offset' and offset.change.ended is None
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('seed', [4, 6])
 def test_another_tool_is_one_change(seed):
     """Ten were told, most of them taken back: the model outvoted it, and the first block has a part of it only."""
@@ -203,9 +207,9 @@ def test_another_tool_is_one_change(seed):
 
 
 def test_what_is_told_is_the_latest_change_while_it_lasts_and_else_the_state():
-    (body, samples, _), (_, undisturbed), (_, touched) = loaded(), free(), pushed(start=115.0)
+    (_, samples, _), (_, undisturbed), (_, touched) = loaded(), free(), pushed(start=115.0)
     samples = replace(samples, outputs=samples.outputs + touched.outputs - undisturbed.outputs)
-    stage = offered(body, samples[samples.time < LOADED_S[0] + 8.0])
+    stage = begun(8.0)
     watch = stage.learner.changes
     assert watch.sentence.startswith('payload at r_gripper since ')
     stage.offer(samples[(samples.time >= LOADED_S[0] + 8.0) & (samples.time < 112.0)])
@@ -236,7 +240,7 @@ def test_a_cable_that_lets_go_as_soon_as_a_hand_is_no_change_though_it_was_appli
     assert 'over as soon as a contact is. It was taken back at ' in brief.sentence
 
 
-@pytest.mark.parametrize('newton', [15.0, 150.0])
+@pytest.mark.parametrize('newton', [pytest.param(15.0, marks=pytest.mark.long), 150.0])
 def test_a_load_is_named_though_a_hand_pushed_shortly_before(newton):
     """The push would be most of what the outputs are before the load."""
     (body, samples, mass), (_, undisturbed) = loaded(), free()
@@ -250,17 +254,13 @@ def test_a_load_is_named_though_a_hand_pushed_shortly_before(newton):
 
 
 def test_that_a_load_without_a_name_is_taken_off_is_said():
-    body, samples, _ = loaded()
-    record, decided = offered(
-        body, samples[samples.time < LOADED_S[0] + 4.0], diagnosis_auto='apply'
-    ).changes
+    record, decided = begun(4.0, diagnosis_auto='apply').changes
     assert record.sentence != decided.sentence
     assert 'It was taken off until it is named at ' in decided.sentence
 
 
 def test_a_record_is_machine_readable_and_says_what_the_errors_would_have_been():
-    body, samples, _ = loaded()
-    record = offered(body, samples[samples.time < LOADED_S[0] + 8.0]).changes[-1].as_dict()
+    record = begun(8.0).changes[-1].as_dict()
     assert record['named']['effect']['kind'] == 'payload'
     assert record['named']['without']['nmse_mean'] > 2.0 * record['named']['after']['nmse_mean']
     assert record['named']['log_evidence_gain'] > record['named']['price']
@@ -280,7 +280,7 @@ def test_nothing_is_looked_for_where_it_is_off_or_cannot_be(settings):
 def test_answers_are_the_same_whether_changes_are_looked_for_or_not_until_anything_stands_out():
     body, samples, _ = loaded()
     samples = samples[samples.time < LOADED_S[0] + 8.0]
-    stage = offered(body, samples)
+    stage = begun(8.0)
     learning = stage.learner.history.batch().learning
     until = int(np.argmax(learning == Learning.TAKEN_BACK)) + 1
     assert LOADED_S[0] < samples.time[until] < (stage.changes[0].change.noticed - samples.origin) * 1e-9
@@ -290,9 +290,9 @@ def test_answers_are_the_same_whether_changes_are_looked_for_or_not_until_anythi
 
 def test_a_load_that_is_told_leaves_the_arm_as_it_was_learnt():
     """What stands out is not learnt before it is told, and then of a load alone."""
-    body, samples, _ = loaded()
+    _, samples, _ = loaded()
     samples = samples[samples.time < LOADED_S[0] + 8.0]
-    stage = offered(body, samples)
+    stage = begun(8.0)
     batch, estimator = stage.learner.history.batch(), stage.learner.estimator
     kinds = set(batch.learning[samples.time > LOADED_S[0] + 0.2].tolist())
     assert {Learning.TAKEN_BACK, Learning.OFFSET, Learning.AFTER_LOAD, Learning.YES} == kinds
@@ -322,8 +322,8 @@ def test_what_the_gate_says_of_a_change_is_so_while_it_is_not_yet_told(auto, end
 @pytest.mark.parametrize('forgotten', [False, True])
 def test_a_return_from_what_was_taken_back_ends_no_earlier_change(forgotten):
     """Something of no kind that was none, told upon a load: with its end the load was told as over."""
-    body, samples, _ = loaded()
-    stage = offered(body, samples[samples.time < LOADED_S[0] + 8.0])
+    body, *_ = loaded()
+    stage = begun(8.0)
     watch, (record,) = stage.learner.changes, stage.learner.changes.records.values()
     load = LearntChange(record.change.number, Learning.AFTER_LOAD)
     assert watch._learnt == [load]
@@ -368,8 +368,7 @@ def test_where_a_change_is_told_less_evidence_is_enough_to_return(told, expected
 
 
 def test_a_change_that_was_told_before_the_model_returned_is_the_end_of_the_one_before():
-    body, samples, _ = loaded()
-    stage = offered(body, samples[samples.time < LOADED_S[0] + 8.0])
+    stage = begun(8.0)
     watch, (record,) = stage.learner.changes, stage.learner.changes.records.values()
     over = record.change._replace(number=2, since=watch._now - 10**9)
     watch.records[2], watch.detector.followed = ChangeRecord(over), SimpleNamespace(change=over)
@@ -419,7 +418,7 @@ def test_an_error_while_looking_keeps_no_sample_from_being_learnt(monkeypatch):
 def test_that_a_change_cannot_be_named_is_told_once():
     """Nobody heard of it: the change stayed without a name and without a reason."""
     body, samples, _ = loaded()
-    stage = offered(body, samples[samples.time < LOADED_S[0] + 4.0])
+    stage = begun(4.0)
     watch, (*_, record) = stage.learner.changes, stage.changes
     told, number = len(stage.changes), record.change.number
     for count in (12, 40):
@@ -437,7 +436,7 @@ def test_that_a_change_cannot_be_named_is_told_once():
 
 def test_what_no_effect_explains_is_taken_back_and_the_robot_is_as_it_was():
     body, samples, _ = loaded()
-    stage = offered(body, samples[samples.time < LOADED_S[0] + 4.0])
+    stage = begun(4.0)
     watch, (record, *_) = stage.learner.changes, stage.changes
     nothing = name_change(body, free()[1], [], LOADED_S[0])
     watch._named(record.change.number, nothing, None)
@@ -451,8 +450,8 @@ def test_what_no_effect_explains_is_taken_back_and_the_robot_is_as_it_was():
 
 def test_a_change_that_is_over_and_was_none_leaves_the_next_one_as_it_is():
     """What is usual was learnt anew, so that a load was held no longer; and a contact it was called."""
-    body, samples, _ = loaded()
-    stage = offered(body, samples[samples.time < LOADED_S[0] + 4.0], diagnosis_auto='apply')
+    body, *_ = loaded()
+    stage = begun(4.0, diagnosis_auto='apply')
     watch, record = stage.learner.changes, stage.changes[0]
     ended = record.change.since - 10**9
     before = record.change._replace(number=0, since=ended - 20 * 10**9, ended=ended)
@@ -483,7 +482,7 @@ def test_an_effect_that_is_tried_no_more_after_its_change_was_over_ends_nothing(
 def test_an_effect_that_is_no_more_the_name_of_a_change_is_tried_no_more():
     """It was applied to a robot of which the record said that it had not changed."""
     body, samples, _ = loaded()
-    stage = offered(body, samples[samples.time < LOADED_S[0] + 4.0], diagnosis_auto='apply')
+    stage = begun(4.0, diagnosis_auto='apply')
     watch, (record, *_) = stage.learner.changes, stage.changes
     there = samples[samples.time < LOADED_S[0] + 20.0]
     watch._named(record.change.number, name_change(body, there, [], LOADED_S[0]), None)
@@ -561,9 +560,9 @@ def test_a_load_that_was_there_too_briefly_to_be_named_is_over_for_the_next_one(
 
 def test_a_change_from_before_a_jump_of_the_clock_is_not_named_from_what_comes_after(monkeypatch):
     """Seconds of motion count, and what is due after so many would look for it in another time."""
-    body, samples, _ = loaded()
+    _, samples, _ = loaded()
     before = samples.time < LOADED_S[0] + 4.0
-    stage = offered(body, samples[before])
+    stage = begun(4.0)
     number, asked = stage.changes[-1].change.number, []
 
     def name(body, batch, effects, since, *given):
@@ -591,7 +590,7 @@ def test_a_change_from_before_a_state_was_loaded_is_not_named_from_what_comes_af
     assert watch._past == record.change.number, 'nor does it stand beside those that come'
 
 
-@pytest.mark.parametrize('again', ['clear_pending', 'reset'])
+@pytest.mark.parametrize('again', ['clear_pending', pytest.param('reset', marks=pytest.mark.long)])
 def test_a_load_has_its_name_also_when_the_recording_is_played_again(again):
     """That of the first time stood beside the model, so that no other one was needed."""
     body, samples, mass = loaded()
@@ -688,8 +687,7 @@ def test_a_change_soon_after_a_state_was_loaded_is_named_beside_the_load_of_that
 
 def test_a_name_that_comes_after_the_clock_was_set_back_applies_nothing():
     """Its values were taken off from a stamp on that is hours ahead: samples as measured had none of it."""
-    body, samples, _ = loaded()
-    stage = offered(body, samples[samples.time < LOADED_S[0] + 8.0], diagnosis_auto='apply')
+    stage = begun(8.0, diagnosis_auto='apply')
     watch, record = stage.learner.changes, stage.changes[-1]
     (trial,) = watch.applied.applied
     stage.learner.clear_pending()  # as the node does

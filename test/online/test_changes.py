@@ -1,6 +1,8 @@
 """Changes are noticed, told from contacts, followed until they end, and named."""
 
+from copy import deepcopy
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -15,14 +17,46 @@ from semiparam_ros.online.changes import LENGTHS, USUAL, ChangeDetector
 from semiparam_ros.online.diagnosis_jobs import diagnose
 from semiparam_ros.online.history import batch_of
 from semiparam_ros.online.wandering_contact import WANDERS, wandering
-from support.changing_arm import LOADED_S, caught, elbow_rests, free, heavier, loaded, offered, pushed, turned
+from support.changing_arm import (
+    CALM,
+    LOADED_S,
+    _same,
+    caught,
+    elbow_rests,
+    free,
+    heavier,
+    loaded,
+    offered,
+    pushed,
+    turned,
+)
 
 
 def told(body, samples):
-    """What a detector beside a rigid body tells, and (N,) whether it says that the robot is
-    touched."""
+    """What a detector beside a rigid body tells, and (N,) whether it says that the robot is touched; what recordings
+    begin with as most do is seen once for all."""
+    usual, free_samples = free()
+    if body is usual and len(samples) > CALM and _same(samples[:CALM], free_samples[:CALM]):
+        return seen(*deepcopy(calm(), {id(body): body}), samples[CALM:])
+    return seen(*beginning(body), samples)
+
+
+def beginning(body):
     estimator = Estimator(body, ModelOptions(variant='P', initial_samples=200))
-    detector, found, touched = ChangeDetector(estimator.columns), [], []
+    return estimator, ChangeDetector(estimator.columns), []
+
+
+@cache
+def calm():
+    body, samples = free()
+    estimator, detector, _ = beginning(body)
+    found, touched, _ = seen(estimator, detector, [], samples[:CALM])
+    assert not found
+    return estimator, detector, touched.tolist()
+
+
+def seen(estimator, detector, touched, samples):
+    found = []
     for sample in samples:
         prediction = estimator.predict(sample)
         part = estimator.rigid_body_part(prediction)
@@ -177,16 +211,17 @@ def test_a_push_is_a_contact_and_no_change(seed, newton):
     assert not touched[samples.time > 85.0].any()
 
 
-@pytest.mark.parametrize('times', [0.1, 1000.0])
+@pytest.mark.parametrize('times', [0.1, pytest.param(1000.0, marks=pytest.mark.long)])
 def test_a_push_is_a_contact_on_an_arm_of_any_size(times):
     """Pushes were expected to be of 100 N: of 1.5 N or 15 kN they were jumps of the sensor and loads."""
-    found, *_ = told(*heavier(times, pushed()[1]))
+    samples = pushed()[1]
+    found, *_ = told(*heavier(times, samples[samples.time < 90.0]))
     assert not found
 
 
 def test_a_load_has_its_mass_on_an_arm_of_two_tonnes():
     _, samples, mass = loaded()
-    (first, *_), *_ = told(*heavier(1000.0, samples))
+    (first, *_), *_ = told(*heavier(1000.0, samples[samples.time < 90.0]))
     assert first.kind == 'payload' and first.noticed - samples.origin < 71.5e9
     assert first.value == pytest.approx(1000.0 * mass, rel=0.25)
 
@@ -324,11 +359,11 @@ def test_an_effect_that_came_later_is_not_over_before_it_came(begun):
     assert found.effect is None or found.effect.end_s is None or found.effect.end_s > (found.effect.start_s or 0.0)
 
 
-@pytest.mark.parametrize('seconds', [5.0, 20.0])
+@pytest.mark.parametrize('seconds', [pytest.param(5.0, marks=pytest.mark.long), 20.0])
 def test_a_push_that_is_known_is_left_out_of_a_diagnosis(seconds):
     """Offsets of the sensor were told, or a force; and without the outputs of the push, that no inertias explain it."""
     body, samples = pushed(seconds=seconds)
-    batch = batch_of((sample, True) for sample in samples[samples.time > 30.0])
+    batch = batch_of((sample, True) for sample in samples[(samples.time > 55.0) & (samples.time < 100.0)])
     begin, end = (samples.origin + round(at * 1e9) for at in (69.5, 70.5 + seconds))
     assert diagnose(body, batch, []).verdict == 'effect_found'
     assert diagnose(body, batch, [], contacts=[(begin, end)]).verdict == 'nothing_missing'

@@ -2,7 +2,7 @@
 
     pytest --long test/online/test_learner_states.py
 
-runs hundreds of lives instead of twelve.
+runs hundreds of lives instead of ten.
 """
 
 from __future__ import annotations
@@ -383,7 +383,7 @@ class EffortLives(Lives):
 ROUNDED = 1e-9
 """Of the outputs' scale: noise that the positions and efforts of a life, of fifteen digits, do not hold."""
 
-LIVES = hypothesis.settings(max_examples=hypothesis.settings.default.max_examples // 8,
+LIVES = hypothesis.settings(max_examples=hypothesis.settings.default.max_examples // 10,
                             stateful_step_count=40, deadline=None,
                             phases=[Phase.explicit, Phase.reuse, Phase.generate],  # not shrinking
                             suppress_health_check=list(hypothesis.HealthCheck))

@@ -39,7 +39,7 @@ def assert_as_offline(stage, day, windows=1):
     np.testing.assert_allclose(stage.means, [step.mean for step in steps], rtol=1e-9, atol=1e-9)
 
 
-@pytest.mark.parametrize('variant', ['SPK-ML', 'NP-ML', 'SP2-ML'])
+@pytest.mark.parametrize('variant', ['SPK-ML', 'NP-ML', pytest.param('SP2-ML', marks=pytest.mark.long)])
 def test_once_where_motion_becomes_faster_and_live_as_offline(variant, monkeypatch):
     monkeypatch.setattr('semiparam_ros.online.renewal.LEAST_DRAFT', 1)
     stage, waited, scales = Stage(replace(SLOWER, variant=variant)), 0, []

@@ -19,7 +19,7 @@ REST_S = 20.0
 
 
 @pytest.mark.parametrize(('recorded', 'count'), [pytest.param(panda, 1100, marks=pytest.mark.long, id='Franka'),
-                                                 pytest.param(lambda: ur3('id1'), 1500, id='UR3')])
+                                                 pytest.param(lambda: ur3('id1'), 900, id='UR3')])
 def test_twenty_seconds_of_rest_before_a_measured_motion_change_nothing(recorded, count, shared_data):
     """The first moving sample held, with its noise. The error is that of the later moving samples, for two draws of
     features."""
@@ -38,7 +38,7 @@ def test_twenty_seconds_of_rest_before_a_measured_motion_change_nothing(recorded
             for steps in [round(REST_S * 1e9 / period)] for index in range(steps)]
     errors = dict.fromkeys(('with', 'without'), 0.0)
     for seed, (name, before) in product(range(2), (('with', rest), ('without', []))):
-        model = Estimator(recording.body, ModelOptions(features_count=100, features_seed=seed, initial_samples=300))
+        model = Estimator(recording.body, ModelOptions(features_count=40, features_seed=seed, initial_samples=300))
         steps = [model.step(sample) for sample in [*before, *samples]][-count // 3:]
         errors[name] += np.mean([((step.sample.outputs - step.mean) / np.std(
             [sample.outputs for sample in samples], axis=0)) ** 2 for step in steps]) / 2

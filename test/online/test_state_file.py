@@ -48,8 +48,10 @@ def answers(stage):
             for answer in stage.answers]
 
 
-@pytest.mark.parametrize('count', [0, 40, 60, 200])
-@pytest.mark.parametrize('settings', REMEMBERS.values(), ids=REMEMBERS)
+@pytest.mark.parametrize(('settings', 'count'), [
+    pytest.param(settings, count, id=f'{name}-{count}',
+                 marks=pytest.mark.long if count in (0, 60) and name not in ('none', 'averaged') else ())
+    for name, settings in REMEMBERS.items() for count in (0, 40, 60, 200)])
 def test_saved_and_loaded_is_not_interrupted_bit_for_bit(tmp_path, settings, count):
     settings = replace(settings, retained_samples=3, gate_enabled=True, gate_false_alarms_per_hour=3600.0,
                        gate_hold=0.3)
@@ -470,7 +472,7 @@ def test_what_is_loaded_can_answer_and_learn(tmp_path, settings, long):
     spoilt += [(f'{name}: missing', {other: arrays[other] for other in arrays if other != name}) for name in arrays]
     spoilt += [(f'meta {where}', arrays | {'meta': np.array(json.dumps(wrong))}) for where, wrong in misquoted(meta)]
     accepted = []
-    for what, these in spoilt[::1 if long else 17]:
+    for what, these in spoilt[::1 if long else 41]:
         np.savez(path, **these)
         try:
             saved = state_file.load(path, settings, body)

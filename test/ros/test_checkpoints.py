@@ -13,7 +13,7 @@ from support.node_helpers import SETTINGS, InlineBackground, motion
 
 @pytest.mark.slow
 def test_a_learner_killed_at_any_moment_leaves_a_good_checkpoint(tmp_path, long):
-    features, period, kills = (500, 0.5, 100) if long else (100, 0.1, 3)
+    features, period, kills = (500, 0.5, 100) if long else (100, 0.1, 2)
     assert checkpoint_kills.kill(checkpoint_kills.Options(tmp_path, features, period), kills)
 
 
@@ -89,7 +89,7 @@ def test_a_second_node_of_the_same_name_says_so_and_does_not_write(tmp_path, ros
 @pytest.mark.slow
 def test_restarts_with_random_configurations_lose_no_state_of_another(tmp_path, ros_domain, long):
     restarts = node_restarts.Restarts(tmp_path, 1)
-    restarts.number = 2  # the fifth has another node of its name beside it
-    for _ in range(100 if long else 3):
+    restarts.number = 3  # the fifth has another node of its name beside it
+    for _ in range(100 if long else 2):
         restarts.start()
     assert restarts.tell() and restarts.done['another node of the same name beside it'] >= 1

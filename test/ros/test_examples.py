@@ -66,7 +66,7 @@ def test_efforts_are_merged_into_trajectories_or_refused_in_a_sentence(start_nod
     """Nothing is sent while there is no model, and nothing beyond the limits of the description."""
     node, client = start_node(replace(LIVE, robot_description=URDF.replace('effort="10"', 'effort="6"')))
     client.offer('joint_states', 'joint_accelerations', 'wrench')
-    with Merger('-p', 'patience:=3.0') as merger:
+    with Merger('-p', 'patience:=2.0') as merger:
         asked = client.node.create_publisher(JointTrajectory, 'effort_merger/in', 10)
         client.wait(asked.get_subscription_count, 'the merger listens')
         client.subscribe(JointTrajectory, '/effort_merger/out')
@@ -77,7 +77,7 @@ def test_efforts_are_merged_into_trajectories_or_refused_in_a_sentence(start_nod
 
         def is_withheld(level, message, values):
             """Ask again: who has found a topic may be found on it only later."""
-            if not asks or time.monotonic() - asks[-1] > 4.0:
+            if not asks or time.monotonic() - asks[-1] > 2.5:
                 asked.publish(wish(0.5))
                 asks.append(time.monotonic())
             return int(values['withheld']) >= 1
@@ -94,6 +94,6 @@ def test_efforts_are_merged_into_trajectories_or_refused_in_a_sentence(start_nod
         assert all(point.effort[2] == 0.0 and abs(point.effort[1]) > 0.01 for point in found.points)
         assert found.points[1].positions[0] == 0.1
         said = merger.stop()
-    assert 'the trajectory is refused: the estimator has not answered within 3 s' in said
+    assert 'the trajectory is refused: the estimator has not answered within 2 s' in said
     assert 'refused: 3 of 3 points need efforts beyond the limits of the robot description.' in said
     assert node.stop() == 0

@@ -75,12 +75,6 @@ def fresh(count, seed=0):
     return [sample._replace(stamp=sample.stamp + shift) for sample in samples]
 
 
-def replay(bag, *options):
-    return subprocess.run([sys.executable, '-m', 'semiparam_ros.cli.main', 'replay', str(bag), '--as-fast-as-followed',
-                           '--disable-keyboard-controls', '--quiet', *options], capture_output=True, text=True,
-                          timeout=120, check=False)
-
-
 def a_life():
     """Samples of a robot that rests, moves slowly, then fast, and is pushed; a time in its fast motion [s]."""
     moving = motion(1500)
@@ -105,8 +99,8 @@ def test_a_bag_through_the_node_equals_the_offline_estimator(tmp_path, bag_optio
         client.connect()
         client.listen(JointState, 'answer')
         for part in ('--until', '--start-offset'):  # hyperparameters are estimated anew meanwhile
-            played = replay(bag, part, str(fast_s))
-            assert played.returncode == 0, played.stderr
+            with Tool(tmp_path, 'replay', bag, '--as-fast-as-followed', '--quiet', part, fast_s) as played:
+                assert played.wait() == 0, played.output
             takeovers = client.take_over()
         loaded = load_samples(bag, settings)
         learner = OfflineLearner(settings, [loaded], lambda: None, takeovers)

@@ -19,8 +19,8 @@ LOADED = 1100
 pytestmark = pytest.mark.usefixtures('module_domain')
 
 
-def carrying(count, until):
-    """A motion with a load in the hand from sample number LOADED on, and not from ``until`` on."""
+def carrying(count, until, since=LOADED):
+    """A motion with a load in the hand from sample number ``since`` on, and not from ``until`` on."""
     samples = Samples.from_list(motion(count))
     inertia = MASS * (CENTRE @ CENTRE * np.eye(3) - np.outer(CENTRE, CENTRE)) + 1e-3 * np.eye(3)
     parameters = np.array(
@@ -35,7 +35,7 @@ def carrying(count, until):
             inertia[2, 2],
         ]
     )
-    on = (np.arange(count) >= LOADED) & (np.arange(count) < until)
+    on = (np.arange(count) >= since) & (np.arange(count) < until)
     load = load_regressor(BODY, samples, 'ft') @ parameters * on[:, None]
     return [
         sample._replace(outputs=sample.outputs + own)
@@ -52,7 +52,7 @@ def test_a_diagnosis_of_a_load_that_was_put_down_meanwhile_is_not_applied(tmp_pa
         state_folder=str(tmp_path / 'states'),
     )
     dump_params(settings, tmp_path / 'p.yaml')
-    samples, off = carrying(LOADED + 700, LOADED + 400), LOADED + 400
+    samples, off = carrying(900, 600, 300), 600
     with NodeProcess(tmp_path, tmp_path / 'p.yaml'), Client() as client:
         client.connect()
         client.offer('joint_states', 'joint_accelerations', 'wrench')

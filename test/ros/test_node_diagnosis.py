@@ -32,7 +32,7 @@ def rubbing(count):
 
 def test_friction_is_found_named_added_and_the_horizon_error_falls(tmp_path):
     dump_params(LIVE, tmp_path / 'p.yaml')
-    samples = rubbing(1300)
+    samples = rubbing(800)
     with NodeProcess(tmp_path, tmp_path / 'p.yaml') as node, Client() as client:
         client.connect('effort')
         client.listen(String, 'diagnosis')
@@ -43,8 +43,8 @@ def test_friction_is_found_named_added_and_the_horizon_error_falls(tmp_path):
         assert 'holds no model yet' in client.trigger('export_model').message
         client.play_at_a_pace(samples[:100], JOINTS, efforts=True)
         assert 'needs at least' in client.trigger('diagnose').message
-        client.play_at_a_pace(samples[100:900], JOINTS, efforts=True)
-        player = threading.Thread(target=client.play_at_a_pace, args=(samples[900:1000], JOINTS, True))
+        client.play_at_a_pace(samples[100:450], JOINTS, efforts=True)
+        player = threading.Thread(target=client.play_at_a_pace, args=(samples[450:550], JOINTS, True))
         player.start()
         running = client.begin(Trigger, 'diagnose', Trigger.Request())
         refused = client.trigger('apply_diagnosis')
@@ -77,7 +77,7 @@ def test_friction_is_found_named_added_and_the_horizon_error_falls(tmp_path):
         assert 'nothing to add' in client.trigger('apply_diagnosis').message
         client.wait_report('learning', lambda level, message, values: message == 'learning with P.'
                            and 'viscous_friction@a' in values['effects'])
-        client.play_at_a_pace(samples[1000:], JOINTS, efforts=True)
+        client.play_at_a_pace(samples[550:], JOINTS, efforts=True)
         after = np.mean([message.position[2] for message in client.heard['horizon_error'][-50:]])
         assert after < 0.2 * before
         _, _, values = client.wait_report('parameters', lambda level, message, values: 'viscous_friction@a' in ''.join(
@@ -96,7 +96,7 @@ def test_one_that_is_cancelled_leaves_no_result_and_what_was_changed_since_is_no
         client.listen(String, 'diagnosis', 'diagnosis_progress')
         client.offer('joint_states', 'joint_accelerations')
         assert client.trigger('cancel_diagnosis').message == 'no diagnosis is running.'
-        client.play_at_a_pace(rubbing(900), JOINTS, efforts=True)
+        client.play_at_a_pace(rubbing(450), JOINTS, efforts=True)
         running, told = client.begin(Trigger, 'diagnose', Trigger.Request()), client.heard['diagnosis_progress']
         client.wait(lambda: told and len(children_of(node.process.pid)) > 1, 'it has begun')
         for child in children_of(node.process.pid):
@@ -112,7 +112,7 @@ def test_one_that_is_cancelled_leaves_no_result_and_what_was_changed_since_is_no
         for child in children_of(node.process.pid):
             os.kill(child, signal.SIGCONT)
         answer = client.trigger('diagnose')
-        assert answer.success and 'It looked at 900 of 900 samples, evenly spread over 18 s.' in answer.message
+        assert answer.success and 'It looked at 450 of 450 samples, evenly spread over 9 s.' in answer.message
         client.wait(lambda: client.heard['diagnosis'], 'the report')
         assert len(client.heard['diagnosis']) == 1 and 'cancelled' in ' '.join(message.data for message in told)
         assert client.set(effects=['viscous_friction@b'])[0].successful

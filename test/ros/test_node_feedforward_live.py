@@ -13,8 +13,8 @@ from semiparam_ros.online.feedforward import STATUS
 from semiparam_ros.ros.estimator.desired_trajectory import MOST_POINTS
 from support.node_helpers import BODY, JOINTS, SETTINGS, motion
 
-MANY_POINTS = 2500
-"""Seconds of work for the node; the reader's own test has as many as it takes."""
+MANY_POINTS = 1200
+"""Half a second of work for the node; the reader's own test has as many as it takes."""
 THIS_YEAR_NS = 1_700_000_000_000_000_000
 EFFECTS = ('time_delay{"delay_s": 0.0047}', 'payload@ft{"start_s": 0.5}', 'sensor_drift',
            'thermal_drift{"time_constant_s": 2.0}', 'periodic_disturbance{"frequency_hz": 3.0, "directions": 6}',

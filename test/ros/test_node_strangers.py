@@ -33,19 +33,19 @@ def test_a_gripper_and_absent_accelerations_are_nothing_to_warn_of(start_node):
     _, client = start_node(Settings.from_mapping({**SETTINGS.mapping(), 'sensor_frame': '', 'outputs': 'auto',
                                                   'variant': 'P'}))
     client.offer('joint_states')
-    samples = motion(400)
+    samples = motion(220)
     play(client, samples[:60], gripper=True)
     client.wait_report('inputs', lambda level, message, values: values.get('ignored: other_joints') == '60')
     client.forget()
-    for sample in samples[60:360]:  # the robot moves while the reports come
+    for sample in samples[60:210]:  # the robot moves while the reports come
         play(client, [sample], gripper=True)
         time.sleep(0.01)
     reports = [(status.level, status.message, {entry.key for entry in status.values}) for heard
                in client.heard['/diagnostics'] for status in heard.status if status.name == 'estimator: inputs']
     assert (DiagnosticStatus.OK, 'receiving.') in [report[:2] for report in reports]
     assert not [report for report in reports if 'accelerations' in report[1] or 'refused' in report[1] + str(report[2])]
-    assert len(client.stamps('residual')) == 300
-    client.state(samples[360], JOINTS[:1], position=[0.0], velocity=[0.0])
+    assert len(client.stamps('residual')) == 150
+    client.state(samples[210], JOINTS[:1], position=[0.0], velocity=[0.0])
     _, message, _ = client.wait_report('inputs', lambda level, message, values: level == DiagnosticStatus.WARN
                                            and 'refused' in message)
     assert "must name joint 'b' once" in message
@@ -55,16 +55,16 @@ def test_a_driver_that_leaves_velocities_empty_after_a_reconnect_is_followed(sta
     _, client = start_node(Settings.from_mapping({**SETTINGS.mapping(), 'sensor_frame': '', 'outputs': 'effort',
                                                   'variant': 'P'}))
     client.offer('joint_states')
-    samples = motion(600)
+    samples = motion(350)
     play(client, samples[:100])
-    for sample in samples[100:400]:
+    for sample in samples[100:250]:
         client.state(sample, JOINTS, velocity=[], effort=sample.position.tolist())
         time.sleep(0.01)
     _, _, values = client.wait_report('inputs', lambda level, message, values: level == DiagnosticStatus.OK and
                                       message == 'receiving; velocities are estimated from the positions.')
     assert values['refused: wrong_length'] == '3' and 'before it held velocities' in values['last refusal']
-    play(client, samples[400:])
-    assert len(client.stamps('residual')) == 597
+    play(client, samples[250:])
+    assert len(client.stamps('residual')) == 347
 
 
 def test_who_forgets_that_a_robot_has_efforts_alone_is_told(start_node):

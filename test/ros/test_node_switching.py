@@ -5,9 +5,6 @@ have the model.
 """
 
 import json
-import signal
-import subprocess
-import sys
 import time
 from dataclasses import replace
 
@@ -21,6 +18,7 @@ from semiparam_ros.settings import dump_params, load_params
 from semiparam_ros.settings.build import build_estimator
 from support.node_client import Client, NodeProcess
 from support.node_helpers import write_bag
+from support.replay_peers import Tool
 
 COMPARED, SLOW_MACHINE_S = 20, 15.0
 ORDER = [*(variant for variant in CHOICES if variant != 'SPK-ML'), 'SPK-ML']
@@ -58,16 +56,14 @@ def test_variants_and_back_while_a_bag_plays_at_ten_times_real_time(tmp_path, ro
     dump_params(settings, tmp_path / 'p.yaml')
     circles = load_samples(repository / 'bags/icub_xy.mcap', settings)
     # Longer than a busy machine needs, and all in one plane: in another one hyperparameters are estimated again.
-    samples = in_turn(*[circles] * 4)
+    samples = in_turn(*[circles] * (4 if long else 1))
     bag = write_bag(tmp_path / 'circles.mcap', samples, settings.joints, circles.robot_description,
                     settings.sensor_frame)
     switched = []
-    with NodeProcess(tmp_path, tmp_path / 'p.yaml'), Client() as client:
+    with (NodeProcess(tmp_path, tmp_path / 'p.yaml'), Client() as client,
+          Tool(tmp_path, 'replay', bag, '--rate', 10, '--wait-for-subscribers', '--quiet', '--json',
+               tmp_path / 'played.json') as player):
         client.connect()
-        player = subprocess.Popen([sys.executable, '-m', 'semiparam_ros.cli.main', 'replay', str(bag), '--rate', '10',
-                                   '--wait-for-subscribers', '--disable-keyboard-controls', '--quiet', '--json',
-                                   str(tmp_path / 'played.json')],
-                                  stderr=subprocess.PIPE, text=True)
         client.wait(lambda: len(client.heard['residual']) > settings.initial_samples + 50, 'the first model')
         for variant in ORDER if long else FEW:
             start = time.monotonic()
@@ -80,11 +76,11 @@ def test_variants_and_back_while_a_bag_plays_at_ten_times_real_time(tmp_path, ro
             print(f'{variant}: answered after {1e3 * replied:.0f} ms, takes over within {took:.1f} s')
             switched.append((variant, len(client.heard['residual']) + 3))
             client.wait(lambda: len(client.heard['residual']) > switched[-1][1] + COMPARED, 'more data')
-            assert player.poll() is None, 'the bag ended before the last switch'
+            assert player.process.poll() is None, 'the bag ended before the last switch'
         assert client.call(Trigger, '/bag_replay/pause', Trigger.Request()).success
         client.wait_report('inputs', lambda level, message, values: message.startswith('nothing received'))
-        player.send_signal(signal.SIGINT)
-        assert player.wait(timeout=20) == 0, player.stderr.read()
+        player.interrupt()
+        assert player.wait() == 0, player.output
         played = json.loads((tmp_path / 'played.json').read_text())['published']['/wrench']
         client.wait(lambda: len(client.heard['residual']) >= played, 'the last answers')
         found, stamps = np.array(client.values('predicted_wrench')), client.stamps('residual')

@@ -43,11 +43,11 @@ class Source(Peer):
 
 
 @contextmanager
-def recorder(out):
+def recorder(out, *arguments):
     """A recorder of /wrench that listens to a source: source, publisher and recorder."""
     with Source() as source:
         wrench = source.offer('/wrench', WRENCH)
-        with Tool(out.parent, 'record', out, '--topics', '/wrench') as record:
+        with Tool(out.parent, 'record', out, '--topics', '/wrench', *arguments) as record:
             source.wait_for_listeners(wrench)
             source.wait_for(lambda: record.said('recording 1 topics'))
             source.meet('bag_record')
@@ -61,12 +61,12 @@ def topics_of(path):
 
 def test_a_nodes_outputs_beside_its_inputs_byte_for_byte(tmp_path):
     """Three processes: the node answers what the replay plays, and the record holds all of it."""
-    bag, out = write_robot(tmp_path / 'a.mcap', 800), tmp_path / 'out.mcap'
+    bag, out = write_robot(tmp_path / 'a.mcap', 300), tmp_path / 'out.mcap'
     with Peer('estimator') as peer:
         peer.answer('/wrench', WRENCH)
         peer.listen('/joint_states', STATES)
         peer.listen('/robot_description', TEXT, LATCHED)
-        with Tool(tmp_path, 'record', out, '--count', '/estimator/residual=800',
+        with Tool(tmp_path, 'record', out, '--count', '/estimator/residual=300',
                   '--json', tmp_path / 'r.json') as record:
             peer.wait_for(lambda: record.said('recording 4 topics: /estimator/residual, /joint_states, '
                                               '/robot_description, /wrench.'))
@@ -80,14 +80,14 @@ def test_a_nodes_outputs_beside_its_inputs_byte_for_byte(tmp_path):
             # The count ends with the last answer; a joint state may come after it on another thread.
             assert recorded == [message.raw for message in before.messages([topic])][:len(recorded)]
             assert len(recorded) >= before.topics[topic].count - 1
-        assert after.topics['/estimator/residual'].count == 800 and not after.losses
+        assert after.topics['/estimator/residual'].count == 300 and not after.losses
         assert after.topics['/robot_description'].qos.latched and not after.topics['/wrench'].qos.latched
     account = json.loads((tmp_path / 'r.json').read_text())
-    assert account['recorded']['/estimator/residual'] == 800 and account['messages'] >= 2398
+    assert account['recorded']['/estimator/residual'] == 300 and account['messages'] >= 898
     with AnyReader([out]) as reader:
         forces = [reader.deserialize(raw, connection.msgtype).wrench.force.x
                   for connection, _, raw in reader.messages() if connection.topic == '/estimator/residual']
-    assert forces == [float(k) for k in range(800)]
+    assert forces == [float(k) for k in range(300)]
 
 
 def test_it_ends_when_nothing_comes_any_more(tmp_path):
@@ -106,9 +106,11 @@ def test_it_ends_when_nothing_comes_any_more(tmp_path):
 def test_a_signal_ends_it_and_the_file_is_whole(tmp_path):
     out = tmp_path / 'out.mcap'
     with recorder(out) as (_, wrench, record):
+        record.interrupt(signal.SIGSTOP)  # as on a machine that gives it no time
         for _ in range(50):
             wrench.publish(message_class(WRENCH)())
         record.interrupt(signal.SIGTERM)
+        record.interrupt(signal.SIGCONT)
         assert record.wait() == 0, record.output
     assert topics_of(out) == {'/wrench': 50}
     assert record.said('recorded 50 messages') and not list(tmp_path.glob('*.partial'))
@@ -117,7 +119,7 @@ def test_a_signal_ends_it_and_the_file_is_whole(tmp_path):
 def test_a_call_that_makes_no_sense_does_not_end_it(tmp_path):
     """A parameter of a type that there is not: the recording broke off."""
     out = tmp_path / 'out.mcap'
-    with recorder(out) as (source, wrench, record):
+    with recorder(out, '--count', 1) as (source, wrench, record):
         client = source.node.create_client(SetParameters, '/bag_record/set_parameters')
         source.wait_for(client.service_is_ready)
         source.meet('bag_record')
@@ -125,11 +127,11 @@ def test_a_call_that_makes_no_sense_does_not_end_it(tmp_path):
         source.wait_for(call.done)
         assert not call.result().results[0].successful
         wrench.publish(message_class(WRENCH)())
-        record.interrupt()
         assert record.wait() == 0, record.output
     assert topics_of(out) == {'/wrench': 1}
 
 
+@pytest.mark.long
 def test_what_was_published_before_the_signal_is_recorded_also_after_a_pause(tmp_path):
     out = tmp_path / 'out.mcap'
     with recorder(out) as (_, wrench, record):

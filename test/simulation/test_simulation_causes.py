@@ -40,7 +40,7 @@ def test_every_listed_kind_can_be_simulated():
 
 
 @pytest.mark.parametrize(('outputs', 'kind'), CASES)
-@pytest.mark.parametrize('size', [0.5, 2.0])
+@pytest.mark.parametrize('size', [0.5, pytest.param(2.0, marks=pytest.mark.long)])
 def test_size_is_the_share_of_the_outputs(bare, outputs, kind, size):
     """With and without the effect, everything else the same: RMS over standard deviation, mean over channels."""
     without, recording = bare[outputs].outputs, with_effect(outputs, kind, size)

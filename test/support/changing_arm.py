@@ -25,7 +25,7 @@ CALM = 1380
 """So many samples most recordings have in common, before anything happens."""
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=8)
 def _recording(load: bool, seed: int):
     return simulate(_scenario(load, seed))
 
@@ -40,7 +40,7 @@ def free(seed=3):
     return _free(seed)
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=8)
 def _free(seed):
     found = _recording(False, seed)
     return body_of(found), samples_of(found)
@@ -168,7 +168,7 @@ def offered(body, samples, **settings):
     return stage
 
 
-@lru_cache(maxsize=2)
+@lru_cache(maxsize=8)
 def _calm(settings):
     """A learner that has seen the first samples of the arm to which nothing happens."""
     body, samples = free()

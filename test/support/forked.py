@@ -2,6 +2,9 @@
 
 A node takes a second of processor time to load, a fork a hundredth. That commands start from nothing is looked at by
 test_stop_signals.py, test_demo.py, test_examples.py, test_node_errors.py and test_packaging.py.
+
+These nodes tell their status three times a second, for tests wait for it hundreds of times; those that start from
+nothing tell it once.
 """
 
 import atexit
@@ -15,6 +18,8 @@ import subprocess
 import sys
 from contextlib import suppress
 from functools import cache
+
+REPORTS_S = 0.3
 
 
 def start(arguments, log, environment, folder=None):
@@ -80,8 +85,9 @@ def _server():
 def serve(control):
     """Fork for each request, until nobody can ask any more."""
     from semiparam_ros.cli.main import main
-    from semiparam_ros.ros.estimator import process  # noqa: F401  (what a node loads)
+    from semiparam_ros.ros.estimator import diagnostics, process  # noqa: F401  (what a node loads)
 
+    diagnostics.PERIOD_S = REPORTS_S
     gc.freeze()
     while True:
         request, descriptors, *_ = socket.recv_fds(control, 1 << 20, 2)
