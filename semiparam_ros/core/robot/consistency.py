@@ -20,9 +20,9 @@ bodies are those that minimise
 It is the most probable answer where exp(-D), a Wishart density with its mode at the description,
 is what is held of each body before: what the samples do not show stays as described. Both terms are
 convex in pi, so there is one minimum. -log det P is a self-concordant barrier: Newton's method with
-shortened steps finds the minimum from the description, while everything but the barrier counts for
-ten times as much with each round (Nesterov and Nemirovskii 1994). No change of variables is needed,
-such as the log-Cholesky one (Rucker and Wensing 2022), which would give up the convexity.
+shortened steps, which fall by enough from 1 / (1 + lambda) on, finds the minimum from the description,
+while everything but the barrier counts for ten times as much with each round (Nesterov and
+Nemirovskii 1994). No change of variables is needed, such as the log-Cholesky one (Rucker and Wensing 2022), which would give up the convexity.
 """
 
 from __future__ import annotations
@@ -168,13 +168,15 @@ def _minimum(problem: _Problem, pseudo: Array, share: float) -> Array:
         inside = np.einsum('ki,iab->kab', step.reshape(-1, 10), SYMMETRIC)
         move = roots @ inside @ np.swapaxes(roots, 1, 2)
         length = 1.0 / max(1.0, -np.linalg.eigvalsh(inside).min() / INSIDE)
+        shortest = 0.5 / (1.0 + np.sqrt(promised))  # a self-concordant function falls by enough with twice that
         tried = problem.value(pseudo + length * move, share)
-        while not tried <= value - SUFFICIENT * length * promised and length > DECREMENT:
+        while (falls_short := not tried <= value - SUFFICIENT * length * promised) and length > shortest:
             length *= 0.5
             tried = problem.value(pseudo + length * move, share)
-        if not tried < value:
+        if tried < value:
+            pseudo, value = pseudo + length * move, tried
+        if falls_short:
             break  # rounding
-        pseudo, value = pseudo + length * move, tried
     return pseudo
 
 
