@@ -22,7 +22,8 @@ is what is held of each body before: what the samples do not show stays as descr
 convex in pi, so there is one minimum. -log det P is a self-concordant barrier: Newton's method with
 shortened steps, which fall by enough from 1 / (1 + lambda) on, finds the minimum from the description,
 while everything but the barrier counts for ten times as much with each round (Nesterov and
-Nemirovskii 1994). No change of variables is needed, such as the log-Cholesky one (Rucker and Wensing 2022), which would give up the convexity.
+Nemirovskii 1994). No change of variables is needed, such as the log-Cholesky one (Rucker and Wensing
+2022), which would give up the convexity.
 """
 
 from __future__ import annotations
