@@ -197,11 +197,11 @@ class AppliedEffects:
 
     @property
     def spread(self) -> Array:
-        """(n,) standard deviation of what is applied, for the newest sample: that of theta, and what
+        """(n,) standard deviation of what is applied, as it was told, for the newest sample: that of theta, and what
         errors of the inputs leave of k, which grows with k; its share is measured."""
         variance = np.zeros(self._body.n_outputs)
         for (block, trial), added in zip(self._blocks(), self.added, strict=True):
-            if trial.acting:
+            if trial.applied:
                 of_theta = (self._newest[:, block] ** 2) @ trial.std**2
                 variance += of_theta + (trial.shares * added) ** 2
         return np.sqrt(variance)
@@ -276,11 +276,12 @@ class AppliedEffects:
                 self._turn(trial, self._stamp)
                 break
 
-    def settle(self, now: int) -> None:
-        """Take off what is applied, and nothing else, from the sample after ``now`` [ns] on."""
+    def settle(self, now: int | None = None) -> None:
+        """Take off what is applied, and nothing else, from the sample after ``now`` [ns] on, which is the newest one
+        unless given."""
         for trial in self.trials:
             if trial.acting != trial.applied:
-                self._turn(trial, now)
+                self._turn(trial, self._stamp if now is None else now)
 
     def _turn(self, trial: KnownEffect, now: int) -> None:
         """Take it off from the sample after ``now`` [ns] on, or no more."""
@@ -417,8 +418,9 @@ class AppliedEffects:
 
     def _keep(self, trials: Iterable[KnownEffect]) -> None:
         before, self.trials = self.trials, list(trials)
+        kept = set(map(id, self.trials))
         for trial in before:
-            if trial.acting and trial not in self.trials:
+            if trial.acting and id(trial) not in kept:
                 self._end_contribution(trial.effect, trial.coefficients, self._stamp)
         self._changed()
 

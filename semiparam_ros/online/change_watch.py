@@ -403,6 +403,7 @@ class ChangeWatch:
         self.detector = self._columns = None
         self.holds, self.follows = False, None
         self.applied.assume(None)
+        self.applied.settle()
         self._contacts.end(self._now)
 
     def reset(self) -> None:
@@ -545,7 +546,7 @@ class ChangeWatch:
         """Let the model learn what no effect of the robot explains; with it another error is usual."""
         self.holds, self._held_s, self.follows = False, 0.0, Learning.AFTER_CHANGE
         self.applied.assume(None)
-        self.applied.settle(self._now)
+        self.applied.settle()
         if self.detector is not None:
             self.detector.learn_usual()
 

@@ -102,7 +102,7 @@ def test_a_state_a_jump_of_the_clock_and_what_is_told_go_on_with_what_is_applied
         elif settled == 'reset':
             applied.reset()
         elif settled == 'settle':
-            applied.settle(int(samples.stamps[59]))
+            applied.settle()
         elif settled == 'dropped':
             applied.drop(1)
         else:
@@ -125,8 +125,10 @@ def test_a_load_that_is_put_down_is_not_predicted_any_more_long_before_that_is_t
     assert stage.learner.changes.state != 'as it was' and stage.changes[-1].change.ended is None
     measured = as_measured(body, stage.learner.history.batch().samples, applied.contributions)
     np.testing.assert_allclose(measured.outputs, until.outputs[-len(measured):], atol=1e-6)
-    stage.learner.changes._learn()
-    assert trial.acting, 'what is learnt as the robot is learnt without what is applied, and nothing else'
+    for goes_on in (stage.learner.changes._learn, stage.learner.changes.forget):
+        trial.acting = False
+        goes_on()
+        assert trial.acting, 'what is learnt as the robot, or by another model, is without what is applied and no other'
 
 
 def test_a_load_is_not_taken_off_twice():
