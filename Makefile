@@ -38,10 +38,10 @@ test: setup
 # The longest files first: begun last, they would run alone.
 PYTEST ?= test/test_docs.py test/diagnosis/test_diagnosis.py test/ros/test_outside_faults.py test
 
-# Four at a time on two cores: tests of live nodes mostly wait. What numba compiles is compiled once before, not by each.
+# Three at a time on two cores: tests of live nodes mostly wait. What numba compiles is compiled once before, not by each.
 suite: setup
 	$(BIN)/python -c 'import semiparam_ros.diagnosis.diagnose, semiparam_ros.ros.estimator.node'
-	$(BIN)/python -m pytest -n 4 --dist loadfile --no-loadscope-reorder $(PYTEST)
+	$(BIN)/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder $(PYTEST)
 
 # Each test in its long form, hours of two cores: ten minutes of bad messages, every pair of settings with 20000 samples,
 # hundreds of random lives. PYTEST='-s test/ros/test_node_fuzz.py' takes one file, and shows what it counted.
