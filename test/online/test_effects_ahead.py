@@ -92,7 +92,7 @@ def test_nothing_comes_again_where_nothing_is_applied_by_itself_but_what_is_ther
 @pytest.mark.parametrize('is_there', [True, False])
 def test_a_state_a_jump_of_the_clock_and_what_is_told_go_on_with_what_is_applied(is_there):
     samples = free()[1][:80]
-    for settled in ('state', 'reset', 'settle', 'dropped', 'switch'):
+    for settled in ('state', 'reset', 'settle', 'dropped', 'switch', 'named anew'):
         applied = known(samples, is_there=is_there)
         fed(applied, samples[1:60], -BIAS if is_there else BIAS)
         assert applied.ahead.any()
@@ -105,9 +105,11 @@ def test_a_state_a_jump_of_the_clock_and_what_is_told_go_on_with_what_is_applied
             applied.settle()
         elif settled == 'dropped':
             applied.drop(1)
+        elif settled == 'named anew':
+            applied.offer(1, effect_from_text('sensor_offset'), 2.0 * BIAS, np.zeros(6), int(samples.stamps[59]))
         else:
             applied.switch(applied.trials[0], int(samples.stamps[59]))
-        assert settled == 'dropped' or not applied.ahead.any()
+        assert settled in ('dropped', 'named anew') or not applied.ahead.any()
         off = fed(applied, samples[60:70], 0.0 * BIAS)
         again = as_measured(free()[0], off, applied.contributions)
         np.testing.assert_allclose(again.outputs, samples.outputs[60:70], atol=1e-9, err_msg=settled)
@@ -150,13 +152,14 @@ def test_samples_are_charged_alike_in_motion_never_seen():
     sample = samples[len(stage.answers)]
     part = estimator.rigid_body_part(estimator.predict(sample, sample.outputs))
     weighed, moments = [], []
-    for familiar_s in (0.0, UNSEEN_S):
+    for familiar_s, usual in ((0.0, 1.0), (UNSEEN_S, 1.0), (UNSEEN_S, 2.0)):
         each = deepcopy(detector)
-        each._familiar = familiar_s
+        each._familiar, each._usual_size = familiar_s, usual * detector._usual_size
         each.see(*part)
         weighed.append(each.weighed)
         moments.append(each._moment - detector._moment)
-    np.testing.assert_array_equal(*weighed)
+    np.testing.assert_array_equal(*weighed[:2])
+    np.testing.assert_allclose(weighed[2], 0.5 * np.array(weighed[1]))
     assert np.linalg.norm(moments[0]) < 0.5 * np.linalg.norm(moments[1])
 
 
