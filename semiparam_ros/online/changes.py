@@ -440,10 +440,9 @@ class ChangeDetector:
             self._refer()
             self._began = model.theta.copy()
         assert self._reference is not None
-        self._add(prediction, self._reference, weight / doubt, added)
+        left = self._add(prediction, self._reference, weight / doubt, added)
         if self._usual_size:
-            left = self._newest_left / self._usual_size
-            self.weighed = left * weight, weight / self._usual_size
+            self.weighed = left * weight / self._usual_size, weight / self._usual_size
         self._start = self._start or sample.stamp
         self._seconds += seconds
         return None if self._seconds < BLOCK_S - 1e-6 else self._finish_block(sample.stamp, theta)
@@ -463,7 +462,8 @@ class ChangeDetector:
 
     def _add(
         self, prediction: Prediction, reference: Array, weight: Array, added: Array | None
-    ) -> None:
+    ) -> Array:
+        """Take a sample into the block; (n,) what the reference leaves of it, not weighed."""
         columns, sample = prediction.columns, prediction.sample
         if self._map is None or self._seconds - self._mapped_at > MAPPED_S - 1e-6:
             self._move_to_hand()
@@ -473,8 +473,8 @@ class ChangeDetector:
             )
             self._mapped_at = self._seconds
         rows = np.hstack([columns[:, : self._n_own], self._turned]) * weight[:, None]
-        self._newest_left = sample.outputs - columns @ reference - self._turned @ self._known_turns
-        left = self._newest_left * weight
+        unweighed = sample.outputs - columns @ reference - self._turned @ self._known_turns
+        left = unweighed * weight
         self._samples += 1
         self._gram += rows.T @ rows
         self._moment += left @ rows
@@ -493,6 +493,7 @@ class ChangeDetector:
             if len(self._added) != len(known):
                 self._added = np.zeros((len(known), 2, len(left)))
             self._added += np.stack([known * left, known * known], axis=1)
+        return np.asarray(unweighed)
 
     def _move_to_hand(self) -> None:
         """Add what the outputs felt since the arm's map is that which it is to the wrench's sums."""

@@ -127,14 +127,14 @@ def is_possible(row: Row) -> bool:
 
 
 @cache
-def rows(triples: bool) -> tuple[Row, ...]:
-    """Rows in which every possible pair of values occurs, or any three of some groups too; always the same ones."""
+def rows() -> tuple[Row, ...]:
+    """Rows in which every possible pair of values occurs; always the same ones."""
     excluded = [{'operator': 'fn', 'requires': ['effect', factor], 'evaluate': is_possible}
                 for factor in ('outputs', 'times')]
     excluded.append({'operator': 'fn', 'requires': ['effect', 'values', 'place'], 'evaluate': is_possible})
-    groups = [{'fields': list(group), 'strength': 3} for group in TRIPLES] if triples else []
+    triples = [{'fields': list(group), 'strength': 3} for group in TRIPLES]
     return tuple(make({name: list(values) for name, values in FACTORS.items()}, constraints=excluded,
-                      sub_models=groups))
+                      sub_models=triples))
 
 
 def pairs_of(row: Row) -> set[tuple[object, ...]]:
