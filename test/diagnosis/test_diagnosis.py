@@ -305,12 +305,13 @@ def test_the_table_groups_by_joint_and_the_report_ends_with_what_to_do(payload, 
 
 
 def test_a_rival_that_explains_it_better_is_told_apart_from_a_toss_up(friction):
-    """Odds of 370 were told as 0.9 are."""
+    """Odds of 370 were told as 0.9 are, and those of a worse one as "odds 0.077"."""
     first = friction.findings[0]
     told = {odds: ' '.join(text_report(replace(friction, findings=[replace(first, rivals=(
-        Rival('coulomb_friction', 'r_elbow', odds),))]))) for odds in (0.9, 370.0)}
+        Rival('coulomb_friction', 'r_elbow', odds),))]))) for odds in (0.077, 0.9, 370.0)}
     assert 'cannot be told for certain from coulomb_friction at r_elbow (as likely)' in told[0.9]
-    assert 'would explain it better' not in told[0.9]
+    assert 'cannot be told for certain from coulomb_friction at r_elbow (13 times less likely)' in told[0.077]
+    assert 'would explain it better' not in told[0.9] + told[0.077]
     assert 'coulomb_friction at r_elbow (370 times more likely) would explain it better' in told[370.0]
 
 

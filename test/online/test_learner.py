@@ -820,6 +820,21 @@ def test_a_job_whose_process_is_killed_runs_again_and_those_behind_it_run_once(t
     assert {path.name: len(path.read_text()) for path in tmp_path.iterdir()} == runs
 
 
+@pytest.mark.parametrize('stopped', [False, True])
+def test_who_ends_waits_for_no_job(tmp_path, stopped):
+    """A node that built a model ended after five seconds."""
+    background, results = ProcessBackground(lambda *task: None), []
+    for name in ('running', 'waiting'):
+        background.submit(work_for_ever, tmp_path / name, done=lambda *result: results.append(result))
+    while not (tmp_path / 'running').exists():
+        time.sleep(0.01)
+    process = background._process
+    if stopped:
+        os.kill(process.pid, signal.SIGSTOP)
+    background.close()
+    assert not process.is_alive() and not results and not (tmp_path / 'waiting').exists()
+
+
 def test_what_is_urgent_interrupts_what_is_not_which_begins_anew(tmp_path):
     tasks = queue.Queue()
     background, results = ProcessBackground(lambda *task: tasks.put(partial(*task))), []

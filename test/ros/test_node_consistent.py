@@ -16,7 +16,7 @@ def test_a_node_tells_bodies_that_can_be_once_it_is_asked_to(start_node):
                        parameters_consistent=True)
     _, client = start_node(settings)
     client.listen(String, 'parameters', qos=LATCHED)
-    client.listen(InertiaStamped, 'payload')
+    client.listen(InertiaStamped, 'payload', 'payload_std')
     client.offer('joint_states', 'joint_accelerations', 'wrench')
     _, _, values = client.wait_report('parameters',
                                       lambda level, message, values: 'consistent' in values)
@@ -40,6 +40,11 @@ def test_a_node_tells_bodies_that_can_be_once_it_is_asked_to(start_node):
 
     assert client.set(parameters__consistent=False)[0].successful
     client.wait_report('parameters', lambda level, message, values: 'consistent' not in values)
+    # the stamp of the answer that it is of, not of the clock; and never without its deviations
+    client.wait(lambda: client.stamps('payload')[-1] == samples[-1].stamp, 'the load of the latest answer')
+    client.wait(lambda: client.stamps('payload_std') == client.stamps('payload'), 'deviations of each')
+    assert set(client.stamps('payload')) <= {sample.stamp for sample in samples}
+    assert min(message.inertia.m for message in client.heard['payload_std']) > 0.0
     assert client.set(variant='NP-ML', parameters__consistent=True)[1].successful
     client.take_over()
     _, _, values = client.wait_report('parameters', lambda level, message, values:

@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 from rclpy.logging import LoggingSeverity, get_logger
 
+from semiparam_ros.errors import SemiparamError
+from semiparam_ros.online.checkpoint import Checkpoints
 from semiparam_ros.online.identified_parameters import Load, reported_load
 from semiparam_ros.ros.estimator.autosave import Autosave
 from semiparam_ros.ros.estimator.diagnosing import Diagnosing, Running
@@ -27,6 +29,7 @@ from semiparam_ros.ros.estimator.diagnostics import (
 )
 from semiparam_ros.ros.estimator.publishers import HorizonMessage, Outputs, inertia_message
 from semiparam_ros.ros.estimator.robot import Robot
+from semiparam_ros.ros.estimator.services import Services
 from semiparam_ros.settings.build import declared_effects
 from support.learner_stage import Stage
 from support.node_helpers import BODY, SETTINGS, URDF, motion
@@ -244,6 +247,37 @@ def test_a_node_ends_and_says_why_there_is_no_checkpoint_of_the_end(busy, senten
     autosave.checkpoints = SimpleNamespace(wait=lambda: None, busy=busy, save=save, news=[])
     autosave.close()
     assert told == [f'there is no checkpoint of the end: {sentence}']
+
+
+@pytest.mark.parametrize('ends', [True, False])
+def test_the_log_names_the_state_of_another_configuration_that_is_moved_aside(tmp_path, ends):
+    told, before = [], Checkpoints(tmp_path, 'arm')
+    before.save(Stage(SETTINGS).learner.state())
+    before.lock.release()
+    autosave = Autosave.__new__(Autosave)
+    autosave.checkpoints, autosave._active, autosave._failed = Checkpoints(tmp_path, 'arm'), True, ''
+    autosave._say, autosave._refuse, autosave._count = told.append, told.append, 0
+    autosave._schedule, autosave._retry = lambda function, *arguments: function(*arguments), SimpleNamespace(
+        cancel=lambda: None)
+    autosave._state = Stage(replace(SETTINGS, features_count=30)).learner.state
+    (autosave.close if ends else autosave._save)()
+    autosave.checkpoints.wait()
+    (aside,) = tmp_path.glob('*aside*')
+    assert told == [f'{tmp_path}/arm.checkpoint.npz was learnt with features.count 40; this node has 30. '
+                    f'It is moved to {aside}.']
+
+
+@pytest.mark.parametrize('service', ['save_state', 'export_model'])
+def test_a_second_node_of_the_same_name_neither_saves_nor_exports_when_asked(tmp_path, service):
+    def take():
+        raise SemiparamError('another node of the name arm')
+    services, replies, learner = Services.__new__(Services), [], Stage(replace(SETTINGS, variant='P')).learner
+    services._lock, services._learner, services._folder = SimpleNamespace(take=take), lambda: learner, tmp_path
+    services._parameters = SimpleNamespace(settings=SETTINGS)
+    services._aside = services._background = None  # whoever gets so far writes
+    with pytest.raises(SemiparamError, match='another node of the name arm'):
+        getattr(services, service)(replies.append)
+    assert not replies and not list(tmp_path.iterdir())
 
 
 def test_what_is_said_may_be_an_error_once_and_a_warning_later():
