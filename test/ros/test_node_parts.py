@@ -161,6 +161,9 @@ def test_a_payload_is_withheld_while_nobody_can_know_it_and_has_the_stamp_of_the
     for each in (carried, carried.std):
         message = inertia_message(tally.stamp, each)
         assert message.header.stamp.sec * 10**9 + message.header.stamp.nanosec == samples[-1].stamp
+    changes = SimpleNamespace(detector=None, picked=(True, None))
+    picking = believed_load(SimpleNamespace(estimator=stage.learner.estimator, changes=changes), tally)
+    assert picking == (None, 'withheld: something was just picked up or put down, and is being named.')
     tally.innovation()
     tally.add(stage.answers[-1]._replace(innovation=1000.0))
     tally.innovation()

@@ -18,7 +18,8 @@ from semiparam_ros.bags.qos import Qos
 from semiparam_ros.bags.reader import open_bag
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.ros.message_types import message_class
-from semiparam_ros.ros.record import topics
+from semiparam_ros.ros.context import DELIVER_S
+from semiparam_ros.ros.record import session, topics
 from semiparam_ros.ros.record.node import RecordNode
 from semiparam_ros.ros.record.options import Limits, RecordOptions, parse_count
 from support.commands import refusal
@@ -144,6 +145,43 @@ def test_what_was_published_before_the_signal_is_recorded_also_after_a_pause(tmp
         record.interrupt(signal.SIGCONT)
         assert record.wait() == 0, record.output
     assert topics_of(out) == {'/wrench': 601}
+
+
+class Clock:
+    """In place of the module: [s] that pass only while somebody sleeps."""
+
+    def __init__(self):
+        self.passed = 0.0
+
+    def monotonic(self):
+        return self.passed
+
+    def time_ns(self):
+        return round(1e9 * self.passed)
+
+    def sleep(self, seconds):
+        self.passed += seconds
+
+
+@pytest.mark.parametrize(('arrivals', 'reliable', 'over'), [
+    ([(3.1, -1.0)], True, 3.1 + DELIVER_S), ([(3.1, -1.0), (6.2, -0.5)], True, 6.2 + DELIVER_S),
+    ([], True, DELIVER_S), ([(0.2, 0.1)], True, session.QUIET_S),
+    ([(0.3, -1.0)], False, 0.3 + session.QUIET_S)], ids=str)
+def test_what_may_still_be_sent_again_is_waited_for_and_nothing_else(monkeypatch, arrivals, reliable, over):
+    """``arrivals``: when each message comes and when it was published [s], both from the end of the recording on."""
+    clock, coming, taken = Clock(), list(arrivals), []
+    monkeypatch.setattr(session, 'time', clock)
+
+    def take_late():
+        while coming and coming[0][0] <= clock.passed:
+            taken.append(coming.pop(0))
+            yield '/wrench', round(1e9 * taken[-1][1])
+    node = SimpleNamespace(complete=False, take_late=take_late, count_publishers=lambda topic: 1,
+                           repeated=lambda: {'/wrench'} if reliable else set())
+    ended = session.RecordSession.__new__(session.RecordSession)
+    ended._say = lambda sentence: None
+    ended._let_the_last_arrive(SimpleNamespace(stop_spinning=lambda: None), node)
+    assert taken == arrivals and clock.passed == pytest.approx(over, abs=3.0 * session.POLL_S)
 
 
 def test_a_killed_recorder_leaves_what_it_had_under_another_name(tmp_path):
