@@ -17,8 +17,8 @@ from rosbags.highlevel import AnyReader
 from semiparam_ros.bags.qos import Qos
 from semiparam_ros.bags.reader import open_bag
 from semiparam_ros.errors import SemiparamError
-from semiparam_ros.ros.message_types import message_class
 from semiparam_ros.ros.context import DELIVER_S
+from semiparam_ros.ros.message_types import message_class
 from semiparam_ros.ros.record import session, topics
 from semiparam_ros.ros.record.node import RecordNode
 from semiparam_ros.ros.record.options import Limits, RecordOptions, parse_count
