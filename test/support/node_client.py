@@ -254,7 +254,7 @@ class Gaps:
     """The longest time [s] in which nothing was answered although something was published.
 
     Looked at again and again; time in which this process, or the node's main thread, was not given the machine does not
-    count.
+    count. How long the thread waited is known once it has run again, so a silence is measured when it is over.
     """
 
     LONGEST_LOOK_S = 0.05
@@ -275,12 +275,12 @@ class Gaps:
     def look(self, published, answered):
         """So many samples so far."""
         now = time.monotonic()
+        self._silent, self._looked = self._silent + min(now - self._looked, self.LONGEST_LOOK_S), now
+        if published > answered == self._answers:
+            return
         delayed = self._delay()
-        passed = min(max(now - self._looked - (delayed - self._delayed), 0.0), self.LONGEST_LOOK_S)
-        self._looked, self._delayed = now, delayed
-        waits = published > answered == self._answers
-        self._silent, self._answers = self._silent + passed if waits else 0.0, answered
-        self.worst = max(self.worst, self._silent)
+        self.worst = max(self.worst, self._silent - (delayed - self._delayed))
+        self._silent, self._delayed, self._answers = 0.0, delayed, answered
 
 
 class Robot:
