@@ -7,7 +7,7 @@ joint held at zero, the force that it transmits is the measured wrench, wherever
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -21,6 +21,8 @@ from semiparam_ros.simulation import urdf_edit
 CONVENTIONS = {'action': 1.0, 'reaction': -1.0}
 OUTPUTS = ('wrench', 'effort')
 CHANNELS = ('fx', 'fy', 'fz', 'tx', 'ty', 'tz')
+JOINT = 'joint '
+"""Before the names of joints while pinocchio locks some of them."""
 
 ITERATIONS = 40
 DAMPING_M = 1e-2
@@ -148,8 +150,9 @@ class Arm:
 
     @property
     def speed_limits(self) -> Array:
-        """Largest speeds (n_joints,) [rad/s]."""
-        return np.asarray(self.model.velocityLimit[self.columns])
+        """Largest speeds (n_joints,) [rad/s]; of a URDF that says 0, which stands for not known, no limit."""
+        limits = self.model.velocityLimit[self.columns]
+        return np.where(limits > 0.0, limits, np.inf)
 
     @property
     def distal_joints(self) -> list[int]:
@@ -172,10 +175,11 @@ class Arm:
         return str([frame.name for frame in self.model.frames if frame.type == pin.FrameType.BODY][-1])
 
     def frame_id(self, name: str) -> int:
-        """Index of a frame; an unknown one raises SemiparamError."""
-        if not self.model.existFrame(name):
-            raise SemiparamError(f"the URDF has no frame '{name}'; expected one of {', '.join(self.distal_frames())}.")
-        return int(self.model.getFrameId(name))
+        """Index of a link, or of the joint of that name; an unknown one raises SemiparamError."""
+        for kind in (pin.FrameType.BODY, pin.FrameType.FIXED_JOINT, pin.FrameType.JOINT):
+            if self.model.existFrame(name, kind):
+                return int(self.model.getFrameId(name, kind))
+        raise SemiparamError(f"the URDF has no frame '{name}'; expected one of {', '.join(self.distal_frames())}.")
 
     def configuration(self, values: Array) -> Array:
         """Convert (N, n_joints), as ``joints``, to the model's (N, nq), its sensor joint at zero.
@@ -242,7 +246,19 @@ def _reduced(robot: urdf_edit.Element, joints: Sequence[str], locked: Sequence[t
     for name, value in locked:
         posture[model.joints[model.getJointId(name)].idx_q] = value
     frozen = [model.getJointId(name) for name in list(model.names)[1:] if name not in joints]
-    return pin.buildReducedModel(model, frozen, posture)
+    _name_joints(model, lambda name: JOINT + name)
+    left = pin.buildReducedModel(model, frozen, posture)
+    _name_joints(left, lambda name: name.removeprefix(JOINT))
+    return left
+
+
+def _name_joints(model: pin.Model, new_name: Callable[[str], str]) -> None:
+    """Rename joints: pinocchio looks for them among all frames, and a link may have the name of one."""
+    for frame in model.frames:
+        if frame.type != pin.FrameType.BODY:
+            frame.name = new_name(frame.name)
+    for number, name in enumerate(model.names):
+        model.names[number] = new_name(name)
 
 
 def _check_choice(name: str, value: str, choices: Sequence[str]) -> None:

@@ -63,7 +63,8 @@ def fourier(arm: Arm, time: Array, homes: Homes, rng: np.random.Generator) -> Ar
     phase = rng.uniform(0, 2 * np.pi, (6, arm.n_joints))
     scale = np.minimum(reach / weight.sum(0) * 1.6, speed / (2 * np.pi * frequency * weight).sum(0) * 1.6)
     waves = np.sin(2 * np.pi * time[:, None, None] * frequency + phase)
-    shape = np.clip((scale * weight * waves).sum(1) / reach, -2.5, 2.5)
+    wished = (scale * weight * waves).sum(1)
+    shape = np.clip(np.divide(wished, reach, out=np.zeros_like(wished), where=reach > 0.0), -2.5, 2.5)
     # A soft bound keeps rare peaks off the joint limits.
     return np.asarray(centre + reach * np.tanh(shape))
 

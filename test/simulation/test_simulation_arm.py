@@ -41,6 +41,16 @@ def test_urdf_is_the_published_arm(urdf, shared_data):
     assert np.allclose(wrenches[0], wrenches[1], rtol=1e-3, atol=1e-3)
 
 
+@pytest.mark.parametrize('outputs', ['wrench', 'effort'])
+def test_links_may_have_the_names_of_joints(urdf, states, outputs):
+    """As of the published Baxter: pinocchio found several frames of one name."""
+    alike = urdf.replace('"r_upper_arm"', '"r_elbow"').replace('"r_forearm"', '"r_wrist_fixed_joint"')
+    plain, arm = (Arm.from_urdf(text, ICUB_JOINTS, outputs, ICUB_SENSOR) for text in (urdf, alike))
+    np.testing.assert_array_equal(arm.evaluate(*states), plain.evaluate(*states))
+    forearm, same = plain.pose('r_forearm', states[0]), arm.pose('r_wrist_fixed_joint', states[0])
+    np.testing.assert_array_equal(same.place, forearm.place)
+
+
 def test_wrench_at_rest_is_the_weight_of_the_distal_bodies(wrench_arm):
     weight = 9.81 * (0.729 + 0.074 + 0.525 + 0.213)
     still = np.zeros((1, 4))
@@ -143,6 +153,7 @@ def test_the_tip_follows_a_path_within_the_limits(wrench_arm):
     ({'outputs': 'force'}, "outputs 'force' is unknown"),
     ({'convention': 'up'}, "wrench_convention 'up' is unknown"),
     ({'urdf': '<robot'}, 'is not XML'),
+    ({'urdf': bundled_urdf().read_text().replace('"r_hand"', '"universe"')}, "called 'universe', a name that is taken"),
     ({'urdf': '<sdf/>'}, "expected a URDF's <robot>"),
     ({'urdf': bundled_urdf().read_text().replace('</robot>', '''
         <joint name="back" type="fixed"><parent link="r_hand"/><child link="r_upper_arm"/></joint></robot>''')},

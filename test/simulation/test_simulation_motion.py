@@ -1,12 +1,14 @@
 """Motions: circles of the right size and pace, never the same, limits kept, one curve with its own derivatives."""
 
+import re
+
 import numpy as np
 import pytest
 
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.simulation import Scenario
 from semiparam_ros.simulation.motions import MOTIONS, trajectory
-from semiparam_ros.simulation.robots import arm_of, homes_of
+from semiparam_ros.simulation.robots import ICUB_JOINTS, arm_of, bundled_urdf, homes_of
 from semiparam_ros.simulation.trajectory import wander
 
 ARM = arm_of(Scenario())
@@ -33,6 +35,21 @@ def test_limits_are_kept(motion, seed):
     low, high = ARM.limits
     assert np.all(position > low)
     assert np.all(position < high)
+
+
+@pytest.mark.parametrize('motion', MOTIONS)
+def test_joints_without_room_or_speed_stay_or_move(motion):
+    """Many a URDF says 0 for what nobody knows: positions were no numbers, or the motion never went on."""
+    urdf = bundled_urdf().read_text()
+    elbow, shoulder = (re.search(rf'<joint name="r_{name}".*?<limit[^>]*>', urdf, re.DOTALL)[0]
+                       for name in ('elbow', 'shoulder_yaw'))
+    urdf = urdf.replace(elbow, re.sub('(lower|upper)="[^"]*"', r'\1="0.5"', elbow))
+    urdf = urdf.replace(shoulder, re.sub('velocity="[^"]*"', 'velocity="0"', shoulder))
+    arm = arm_of(Scenario(urdf=urdf, joints=ICUB_JOINTS, outputs='effort', sensor_frame=''))
+    path = trajectory(arm, motion, 30.0, HOMES, np.random.default_rng(0)).at(np.arange(0.0, 30.0, 0.05))
+    assert np.isfinite(path.acceleration).all()
+    if motion in ('fourier', 'reach'):
+        assert np.ptp(path.position[:, 2]) > 0.05 and np.abs(path.position[:, 3] - 0.5).max() < 2e-3
 
 
 @pytest.mark.parametrize(('motion', 'plane', 'normal'), [('circle_xy', [0, 1], 2), ('circle_xz', [0, 2], 1)])

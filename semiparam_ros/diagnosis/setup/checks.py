@@ -188,7 +188,7 @@ def motion_problems(body: RigidBody, samples: Samples, usable: Mask,
         silent = moving[joint] and little and math.isnan(ratio)  # else it is in another unit
         if silent:
             problems.append(SetupProblem('velocity_missing', name, (
-                f"The position of '{name}' changes while its velocity stays zero: have the driver "
+                f"The position of '{name}' changes far more than its velocity says: have the driver "
                 'publish velocities.')))
         elif (found := _velocity(name, ratio, config)) is not None:
             problem, role, factor = found
