@@ -25,6 +25,7 @@ from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 from queue import SimpleQueue
+from types import FrameType
 from typing import Any, Literal, NamedTuple, Protocol, TypeAlias, TypeVar, cast
 
 from semiparam_ros.errors import SemiparamError
@@ -376,6 +377,13 @@ def _run(job: object) -> JobResult:
         return JobResult(given_up=True)
 
 
-def _give_up(*_: object) -> None:
-    if _working:
+def _give_up(_number: int, frame: FrameType | None) -> None:
+    """Not within an import, which could never be done again in this process; the node asks until it is over."""
+    if _working and not _imports(frame):
         raise _GivenUp
+
+
+def _imports(frame: FrameType | None) -> bool:
+    while frame is not None and not frame.f_code.co_filename.startswith('<frozen importlib'):
+        frame = frame.f_back
+    return frame is not None

@@ -1,5 +1,6 @@
 """What the node does around the estimator, without ROS: order, background work, switches, gate, tare, state files."""
 
+import importlib
 import os
 import pickle
 import queue
@@ -861,6 +862,44 @@ def test_what_is_urgent_interrupts_what_is_not_which_begins_anew(tmp_path):
         tasks.get(timeout=60)()
     background.close()
     assert results == [4, 6, 8, 'done', 2]
+
+
+def test_what_is_interrupted_while_it_imports_can_be_done_later(tmp_path, monkeypatch):
+    """Half of scipy.ndimage stayed in the process: every later diagnosis was an internal error."""
+    package = tmp_path / 'slowly'
+    package.mkdir()
+    (package / 'part.py').touch()
+    (package / '__init__.py').write_text(IMPORTED.format(begun=tmp_path / 'begun'))
+    monkeypatch.syspath_prepend(tmp_path)
+    tasks, results = queue.Queue(), []
+    background = ProcessBackground(lambda *task: tasks.put(partial(*task)))
+
+    def submit(urgency, function, *arguments):
+        return background.submit(function, *arguments, urgency=urgency,
+                                 done=lambda result, error: results.append(error or result))
+    cancelled = submit(Urgency.ASKED, import_and_name, 'slowly')
+    while not (tmp_path / 'begun').exists():
+        time.sleep(0.01)
+    cancelled.cancel()
+    submit(Urgency.ASKED, import_and_name, 'slowly')
+    while not results:
+        tasks.get(timeout=60)()
+    background.close()
+    assert results == ['slowly']
+
+
+IMPORTED = """
+from .part import *
+import pathlib, time
+pathlib.Path('{begun}').touch()
+time.sleep(0.5)
+del part
+"""
+
+
+def import_and_name(name):
+    """In the background process."""
+    return importlib.import_module(name).__name__
 
 
 def test_a_process_that_is_still_loading_does_not_die_of_a_job_that_is_to_give_way():
