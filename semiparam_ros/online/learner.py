@@ -103,11 +103,13 @@ class Learner:
 
     :param listener: told of every answer and of what happens to the model.
     :param checkpoint: gives the newest good saved state to replace a model that broke; None without one.
+    Raises SemiparamError where the settings name links that the robot does not have.
     """
 
     def __init__(self, settings: Settings, body: RigidBody, background: Background, listener: LearnerListener,
                  checkpoint: Callable[[], SavedState | None] = lambda: None) -> None:
         self.settings, self.body = settings, body
+        self._check_links(settings)
         self.gate = ContactGate.of(body)
         self.tare, self.tools = Tare(body.n_outputs), Tools(body, settings.tools)
         self.learnt = self.answered = self.lost = 0
@@ -389,12 +391,15 @@ class Learner:
 
     def check(self, settings: Settings) -> None:
         """Raise SemiparamError if a model of these settings cannot be built on this robot, or has no such links."""
-        Tools(self.body, settings.tools)
-        ExternalWrench(self.body, settings.external_wrench_frame)
+        self._check_links(settings)
         if same_model(settings, self.built):
             return
         latest = self.history.latest() or self._at_rest()
         model_jobs.new_estimator(settings, self.body).predict(latest)
+
+    def _check_links(self, settings: Settings) -> None:
+        Tools(self.body, settings.tools)
+        ExternalWrench(self.body, settings.external_wrench_frame)
 
     def _at_rest(self) -> Sample:
         zeros = np.zeros(self.body.n_joints)

@@ -167,3 +167,5 @@ def test_a_tool_at_no_link_and_a_frame_that_is_none_are_refused_before_anything_
     for settings in (replace(SETTINGS, tools=('upper {"mass": 1}',)), replace(SETTINGS, external_wrench_frame='x')):
         with pytest.raises(SemiparamError, match='is not a link of the robot description'):
             stage.learner.check(settings)
+        with pytest.raises(SemiparamError, match='is not a link of the robot description'):
+            Stage(settings)  # as where the description comes late: each status was an internal error

@@ -77,6 +77,21 @@ def test_who_forgets_that_a_robot_has_efforts_alone_is_told(start_node):
     assert 'moves a, b; the wrench at ft is predicted.' in node.output
 
 
+def test_a_description_that_did_not_fit_is_taken_when_the_settings_do(start_node):
+    """A link that is none was an internal error of each status, and the description had to be sent again."""
+    node, client = start_node(replace(SETTINGS, robot_description='', external_wrench_frame='hand'))
+    client.offer('robot_description')
+    client.outputs['robot_description'].publish(String(data=URDF))
+    client.wait_report('inputs', lambda level, message, values: (
+        "does not fit: link 'hand' is not a link of the robot description" in values['last refusal']))
+    assert client.set(gate__enabled=True)[0].successful
+    assert client.set(external_wrench__frame='ft')[0].successful
+    client.wait_report('learning', lambda level, message, values: message.startswith('gathering'))
+    assert client.report('inputs')[2]['refused: robot_description'] == '1', 'said once'
+    assert node.stop() == 0
+    assert 'internal error' not in node.output
+
+
 def test_messages_of_any_size_leave_nothing_behind(start_node):
     """A joint state of a million joints left 650 MB; two hundred thousand leave none here."""
     node, client = start_node(replace(SETTINGS, outputs='effort', sensor_frame='', variant='P', robot_description=''))

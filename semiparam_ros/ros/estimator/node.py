@@ -68,6 +68,7 @@ class EstimatorNode(AnsweringNode, LearnerListener):
 
     def _build(self, schedule: Scheduler, files: Sequence[Path], worker: Worker | None) -> None:
         self.learner: Learner | None = None
+        self._schedule = schedule
         self._awaited = ''
         """What was last said of a change of the model."""
         self.errors = InternalErrors(self.get_logger().error, self._complain)
@@ -129,9 +130,10 @@ class EstimatorNode(AnsweringNode, LearnerListener):
 
     def _begin(self, body: RigidBody) -> None:
         """The robot is known: what was received so far is answered first."""
+        learner = Learner(self._live.settings, body, self._background, self, self._newest_checkpoint)
         self._outputs.open(body)
         self._reports.open(self._robot.name, body)
-        self.learner = Learner(self._live.settings, body, self._background, self, self._newest_checkpoint)
+        self.learner = learner
         saved = self._autosave.resume(self._live.settings, body)
         if saved is not None:
             self.learner.restore(saved)
@@ -257,6 +259,7 @@ class EstimatorNode(AnsweringNode, LearnerListener):
 
     def _change(self, settings: Settings) -> str:
         if self.learner is None:
+            self._schedule(self._guarded, DESCRIPTION, self._robot.retry)
             return ''
         before = self.learner.settings
         try:

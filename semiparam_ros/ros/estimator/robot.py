@@ -22,7 +22,7 @@ class Robot:
                  complain: Callable[[str], None]) -> None:
         self._settings, self._known, self._complain = settings, known, complain
         self._text: str | None = None
-        self._latest = ''
+        self._latest = self._refusal = ''
         self.name = ''
 
     @property
@@ -46,10 +46,20 @@ class Robot:
         if self._text is not None:
             self._complain('another robot description came on its topic; the first one stays in use.')
             return
+        self._refusal = ''
+        self.retry()
+
+    def retry(self) -> None:
+        """Take the latest from the topic, which may fit other settings; say why it does not fit, once."""
+        if self._text is not None or not self._latest:
+            return
         try:
-            self._take(text)
+            self._take(self._latest)
         except SemiparamError as error:
-            self._complain(f'the robot description on its topic does not fit: {error}')
+            refusal, before = f'the robot description on its topic does not fit: {error}', self._refusal
+            self._refusal = refusal
+            if refusal != before:
+                self._complain(refusal)
 
     def _take(self, text: str) -> None:
         body = build_rigid_body(self._settings, text)
