@@ -15,12 +15,13 @@ MODULES = sorted(PACKAGE.rglob('*.py'))
 OPEN_TO_ALL = {'errors', 'atomic_write'}
 NUMBERS = {*OPEN_TO_ALL, 'core', 'effects', 'diagnosis'}
 OFFLINE = {*NUMBERS, 'settings', 'bags', 'online', 'experiments', 'simulation'}
-ANYTHING = {*OFFLINE, 'export', 'playback', 'report', 'ros', 'cli'}
+ANYTHING = {*OFFLINE, 'interrupts', 'export', 'playback', 'report', 'ros', 'cli'}
 
 # What each layer may know of the package besides itself.
 MAY_IMPORT = {
     'errors': set(),
     'atomic_write': {'errors'},
+    'interrupts': set(),
     'core': {'errors'},
     'effects': {'errors', 'core'},
     'diagnosis': {'errors', 'core', 'effects'},
@@ -33,7 +34,7 @@ MAY_IMPORT = {
     'playback': {*OPEN_TO_ALL, 'core', 'bags'},
     'experiments': OFFLINE,
     'report': OFFLINE,
-    'ros': {*NUMBERS, 'settings', 'bags', 'online', 'playback', 'export'},
+    'ros': {*NUMBERS, 'settings', 'bags', 'online', 'playback', 'export', 'interrupts'},
     'cli': ANYTHING,
 }
 

@@ -20,6 +20,7 @@ from typing import NoReturn
 
 from semiparam_ros import __version__
 from semiparam_ros.errors import SemiparamError
+from semiparam_ros.interrupts import remember_interrupts
 
 COMMANDS = ('run', 'replay', 'evaluate', 'fit', 'compare', 'diagnose', 'export', 'simulate', 'convert',
             'bench', 'record')
@@ -40,7 +41,8 @@ def main(argv: Sequence[str] | None = None, prog: str = 'semiparam') -> int:
     arguments, ros_arguments = split_ros_arguments(sys.argv[1:] if argv is None else argv)
     try:
         try:
-            return _dispatch(arguments, ros_arguments, prog)
+            with remember_interrupts():
+                return _dispatch(arguments, ros_arguments, prog)
         finally:
             sys.stdout.flush()
     except SystemExit as stop:

@@ -28,6 +28,7 @@ from rclpy.timer import Timer
 from rclpy.utilities import ok, try_shutdown
 
 from semiparam_ros.errors import SemiparamError
+from semiparam_ros.interrupts import Interrupt
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 ONE_KEY_S = 0.5
@@ -53,7 +54,8 @@ class StopSignals:
     does nothing, and the signal's number goes through a pipe to a thread, which may wait.
 
     A signal that comes more than half a second after the first one ends the process with 128 plus its number, whatever
-    the main thread is doing. That stays so once a signal has come, until the process has ended.
+    the main thread is doing. That stays so once a signal has come, until the process has ended. A Ctrl-C of before
+    counts too, see :mod:`semiparam_ros.interrupts`.
     """
 
     def __init__(self, stop: Callable[[], None] = lambda: None) -> None:
@@ -76,6 +78,9 @@ class StopSignals:
             self._usual_wakeup = signal.set_wakeup_fd(self._write, warn_on_full_buffer=False)
             self._usual = {number: signal.signal(number, lambda *_: None) for number in SIGNALS}
             self._thread.start()
+            before = self._usual[signal.SIGINT]
+            if isinstance(before, Interrupt) and before.came:
+                os.write(self._write, bytes([signal.SIGINT]))
         return self
 
     def __exit__(self, *_: object) -> None:

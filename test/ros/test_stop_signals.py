@@ -173,6 +173,28 @@ def test_ctrl_c_while_the_node_starts(tmp_path, ros_domain, loaded):
         assert 'Traceback' not in group.output
 
 
+def test_ctrl_c_that_an_import_has_swallowed_ends_the_node(tmp_path, ros_domain):
+    """Python ignores exceptions in the callback by which an import lets go of its lock: the node never ended."""
+    dump_params(replace(SETTINGS, state_folder=str(tmp_path)), tmp_path / 'p.yaml')
+    program = """
+import os, signal, sys
+from semiparam_ros.cli.main import main
+
+class Swallow:
+    def find_spec(self, name, path, target=None):
+        if name == 'rclpy':
+            try:
+                os.kill(os.getpid(), signal.SIGINT)
+            except KeyboardInterrupt:
+                print('swallowed', flush=True)
+
+sys.meta_path.insert(0, Swallow())
+sys.exit(main(['run', '--params', sys.argv[1]]))
+"""
+    with Group(tmp_path, '-c', program, tmp_path / 'p.yaml') as group:
+        assert group.code() == 0 and 'swallowed' in group.output, group.output
+
+
 def test_a_second_ctrl_c_gives_the_terminal_back(tmp_path, ros_domain):
     write_bag(tmp_path / 'a.mcap', motion(500))
     ours, theirs = pty.openpty()
