@@ -12,6 +12,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from unittest.mock import patch
 
+import numpy as np
 import pytest
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import GetParameters, SetParameters
@@ -179,7 +180,8 @@ def test_messages_come_at_their_time(tmp_path):
         peer.node.create_subscription(peer_type(WRENCH), '/wrench', lambda _: arrivals.append(time.monotonic()), 101)
         replayed(tmp_path, bag, '--wait-for-subscribers', '--topics', '/wrench')
     assert len(arrivals) == 101
-    assert arrivals[-1] - arrivals[0] == pytest.approx(1.0, abs=0.1)
+    late = np.array(arrivals) - np.arange(101) / 100  # any one of them may wait for a busy machine
+    assert late[50:].min() == pytest.approx(late[:50].min(), abs=0.1)
 
 
 def test_a_recording_of_a_follower_is_played_to_it_without_its_old_answers(tmp_path):
@@ -232,7 +234,7 @@ def test_another_name_new_stamps_and_the_clock(tmp_path):
         peer.listen('/force', WRENCH, raw=True)
         peer.listen('/joint_states', STATES)
         peer.listen('/clock', 'rosgraph_msgs/msg/Clock')
-        replayed(tmp_path, bag, '--rate', 4, '--wait-for-subscribers', '--remap',
+        replayed(tmp_path, bag, '--rate', 1.5, '--wait-for-subscribers', '--remap',
                  '/wrench:=/force', '--restamp', '--clock', 100, '--regex', 'wrench',
                  '--start-offset', 0.5)
     assert len(peer.heard['/force']) == 150 and peer.heard['/joint_states'] == []
