@@ -89,6 +89,7 @@ def run(args: argparse.Namespace) -> int:
 
 def scenario_of(args: argparse.Namespace) -> Scenario:
     """The scenario that the command line describes; a parameter file gives the robot where an option does not."""
+    from semiparam_ros.core.robot.urdf import parse
     from semiparam_ros.settings import load_params
     from semiparam_ros.settings.robot_description import robot_description
     from semiparam_ros.simulation import Scenario
@@ -105,6 +106,8 @@ def scenario_of(args: argparse.Namespace) -> Scenario:
                    'urdf': described}
         chosen = {name: of_file[name] if value is None else value for name, value in chosen.items()}
         chosen['locked'] = tuple(zip(settings.locked_joints_names, settings.locked_joints_positions, strict=True))
+    if chosen['urdf'] is not None:
+        parse(chosen['urdf'])  # what the other commands would refuse makes no recording
     return Scenario(motion=args.motion, samples=samples_of(args), rate_hz=args.rate, effects=effects_of(args),
                     seed=args.seed, robot_seed=args.robot_seed, baseline=args.baseline, noise=args.noise,
                     encoder_noise=args.encoder_noise, accelerations=not args.no_accelerations,

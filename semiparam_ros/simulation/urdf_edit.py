@@ -12,8 +12,6 @@ from semiparam_ros.errors import SemiparamError
 
 Element: TypeAlias = ElementTree.Element
 MOVING = ('revolute', 'continuous', 'prismatic')
-TAKEN = 'universe'
-"""Pinocchio's name for what the root hangs on."""
 MAX_ANGLE = '3.141592653589793'
 
 
@@ -25,9 +23,6 @@ def parse(urdf: str) -> Element:
         raise SemiparamError(f'the robot description is not XML: {error}.') from error
     if robot.tag != 'robot':
         raise SemiparamError(f"the robot description begins with <{robot.tag}>; expected a URDF's <robot>.")
-    if any(item.get('name') == TAKEN for item in robot):
-        raise SemiparamError(f"a link or joint of the robot description is called '{TAKEN}', a name that is taken; "
-                             'rename it.')
     children = [child.get('link') for child in robot.findall('joint/child')]
     for name in children:
         if children.count(name) > 1:  # pinocchio follows the loop until the process dies

@@ -130,6 +130,15 @@ def test_bad_arguments_are_one_sentence(tmp_path, monkeypatch, capsys, arguments
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize(('old', 'new', 'words'), [
+    ('mass value="', 'mass value="-', 'negative mass'), ('"r_hand"', '"universe"', 'a name that is taken')])
+def test_what_other_commands_refuse_makes_no_recording(tmp_path, repository, capsys, old, new, words):
+    urdf = tmp_path / 'a.urdf'
+    urdf.write_text((repository / 'config' / 'icub_right_arm.urdf').read_text().replace(old, new))
+    assert words in refusal(capsys, 'simulate', tmp_path / 'a.mcap', '--urdf', urdf, '--samples', 20)
+    assert list(tmp_path.iterdir()) == [urdf]
+
+
 def test_kinds_are_listed(capsys):
     assert main(['simulate', '--effect', 'list', '--outputs', 'effort']) == 0
     listed = capsys.readouterr().out
