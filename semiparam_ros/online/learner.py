@@ -109,7 +109,7 @@ class Learner:
     def __init__(self, settings: Settings, body: RigidBody, background: Background, listener: LearnerListener,
                  checkpoint: Callable[[], SavedState | None] = lambda: None) -> None:
         self.settings, self.body = settings, body
-        self._check_links(settings)
+        ExternalWrench(body, settings.external_wrench_frame)  # raises for a link that is none
         self.gate = ContactGate.of(body)
         self.tare, self.tools = Tare(body.n_outputs), Tools(body, settings.tools)
         self.learnt = self.answered = self.lost = 0
@@ -391,15 +391,12 @@ class Learner:
 
     def check(self, settings: Settings) -> None:
         """Raise SemiparamError if a model of these settings cannot be built on this robot, or has no such links."""
-        self._check_links(settings)
+        Tools(self.body, settings.tools)
+        ExternalWrench(self.body, settings.external_wrench_frame)
         if same_model(settings, self.built):
             return
         latest = self.history.latest() or self._at_rest()
         model_jobs.new_estimator(settings, self.body).predict(latest)
-
-    def _check_links(self, settings: Settings) -> None:
-        Tools(self.body, settings.tools)
-        ExternalWrench(self.body, settings.external_wrench_frame)
 
     def _at_rest(self) -> Sample:
         zeros = np.zeros(self.body.n_joints)

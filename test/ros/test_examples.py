@@ -83,15 +83,17 @@ def test_efforts_are_merged_into_trajectories_or_refused_in_a_sentence(start_nod
         client.wait_report('feedforward', lambda level, message, values: ask_again() or int(values['withheld']) >= 1)
         assert 'the trajectory is refused: the estimator has not answered within 2 s' in merger.refusal()
         client.play(client.play_window(motion(150), JOINTS, 60), JOINTS)
-        refusal = 'has not answered'
+        refusal, beyond = 'has not answered', 0
         while 'has not answered' in refusal:
             asked.publish(wish(1e3))
-            refusal = merger.refusal()
+            refusal, beyond = merger.refusal(), beyond + 3
         assert 'refused: 3 of 3 points need efforts beyond the limits of the robot description.' in refusal
-        client.wait_report('feedforward', lambda level, message, values: int(values['cut to the effort limits']) >= 3)
+        client.wait_report('feedforward',
+                           lambda level, message, values: int(values['cut to the effort limits']) == beyond)
         asks.clear()
         client.wait(lambda: ask_again() or client.heard['/effort_merger/out'], 'the merged trajectory')
         heard = client.heard['/effort_merger/out']
+        assert len(heard) <= len(asks)
         assert all(point.accelerations[0] == 0.5 for each in heard for point in each.points), 'what was refused'
         found = heard[0]
         assert list(found.joint_names) == ['b', 'a', 'gripper'] and len(found.points) == 3

@@ -468,8 +468,7 @@ def check(row: Row, count: int) -> None:
         assert takeovers, 'the initial window is not over'
         assert (takeovers[0] > 0) == (row['background'] == 'delayed')
     expected = offline(settings, recorded, tares, takeovers)
-    shortest = row['forgetting'] == 0.5
-    short = shortest or (row['forgetting'] == 0.9 and (row['features'] == 'auto' or row['priors'] == 'paper'))
+    short = row['forgetting'] in (0.9, 0.5) and (row['features'] == 'auto' or row['priors'] == 'paper')
     assert_finite(expected, np.inf if short else LARGEST_PREDICTION)
     assert expected.answers[-1][3], 'the initial window is not over'
     assert not expected.failed_windows, 'a window of motion gives no hyperparameters'
