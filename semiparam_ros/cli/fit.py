@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from semiparam_ros.cli import options
+from semiparam_ros.errors import SemiparamError
 
 if TYPE_CHECKING:
     from semiparam_ros.core.hyperparameters.estimation import Hyperparameters
@@ -66,7 +67,10 @@ def run(args: argparse.Namespace) -> int:
     options.require_places(args.output, args.json, inputs=[args.bag])
     options.require_places(args.json, inputs=[args.params])
     settings = load_params(args.params)
-    settings = replace(settings, variant=chosen_variants([args.variant] if args.variant else None, settings)[0])
+    variants = chosen_variants([args.variant] if args.variant else None, settings)
+    if len(variants) > 1:
+        raise SemiparamError(f'--variant is {args.variant}; expected one of {", ".join(variants)}.')
+    settings = replace(settings, variant=variants[0])
     estimation = estimation_of(args)
     bag = load_bags([args.bag], settings)[0]
     gathered = gathered_from(bag.samples, settings.initial_samples)

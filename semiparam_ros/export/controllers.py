@@ -22,7 +22,7 @@ from scipy.optimize import curve_fit
 from semiparam_ros.core.robot.frames import load_seen_from, observed_links
 from semiparam_ros.core.robot.rigid_body import GRAVITY, RigidBody
 from semiparam_ros.core.types import Array
-from semiparam_ros.errors import SemiparamError
+from semiparam_ros.errors import SemiparamError, listed
 from semiparam_ros.export.identified import CarriedBody, Identified
 from semiparam_ros.export.xml_edit import number
 
@@ -52,6 +52,8 @@ def load_at(body: RigidBody, found: Identified, flange: str | None) -> CarriedBo
 
     Raises SemiparamError when there is none, or when one moves against the flange.
     """
+    if not found.loads and found.not_shown:
+        raise SemiparamError(f'the samples show no load at {listed(found.not_shown, 3)}: there is none to write.')
     if not found.loads:
         raise SemiparamError('no load is known; expected a payload among the effects, as semiparam '
                              'diagnose -o writes it, or --load LINK.')

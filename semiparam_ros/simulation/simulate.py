@@ -29,6 +29,8 @@ from semiparam_ros.simulation.warming import readings, warming
 from semiparam_ros.simulation.world import World
 
 MIN_SAMPLES = 10
+LONGEST_S = 1e5
+"""Of a recording: it is made of steps of a millisecond."""
 
 OUTPUT_NOISE_SHARE = 0.02
 POSITION_NOISE = 1e-4
@@ -49,6 +51,9 @@ def check(scenario: Scenario) -> None:
         raise SemiparamError(f'{scenario.samples} samples are too few; expected at least {MIN_SAMPLES}.')
     if not (np.isfinite(scenario.rate_hz) and 0 < scenario.rate_hz <= 1000):
         raise SemiparamError(f'rate {scenario.rate_hz} Hz is out of range; expected more than 0 and at most 1000.')
+    if scenario.samples / scenario.rate_hz > LONGEST_S:
+        raise SemiparamError(f'{scenario.samples} samples at {scenario.rate_hz:g} Hz last '
+                             f'{scenario.samples / scenario.rate_hz:.3g} s; expected at most {LONGEST_S:g} s.')
     if scenario.seed < 0 or (scenario.robot_seed or 0) < 0:
         raise SemiparamError('a seed is negative; expected a whole number from 0 on.')
     for name in ('noise', 'noise_correlation_s', 'encoder_noise'):

@@ -207,7 +207,8 @@ def test_a_senseless_request_is_refused_in_one_sentence(folder, capsys, options,
 @pytest.mark.parametrize(('options', 'sentence'), [
     (['-o', '/nowhere/fitted.yaml'], 'no folder /nowhere'), (['-o', '/'], 'it is a folder'),
     (['--grid-tau', '1', '--grid-ratio', '0.1'], 'one point'), (['--grid-ratio', '-1', '1'], 'grid holds -1'),
-    (['--starts', '0'], '--starts is 0'), (['--variant', 'SPX'], "'SPX' is unknown")])
+    (['--starts', '0'], '--starts is 0'), (['--variant', 'SPX'], "'SPX' is unknown"),
+    (['--variant', 'all'], '--variant is all; expected one of P, ')])
 def test_a_senseless_fit_is_refused_in_one_sentence(folder, capsys, options, sentence):
     written = folder / 'refused.yaml'
     assert sentence in refusal(capsys, 'fit', folder / 'train.mcap', '--params', folder / 'arm.yaml', '-o', written,

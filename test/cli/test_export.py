@@ -126,6 +126,7 @@ def test_the_weight_on_a_sensor_is_that_of_one_body(folder, tmp_path, capsys):
 
 @pytest.mark.parametrize('source, options, sentence', [
     ('arm.mcap', '--ur-payload x', 'no load is known; expected a payload among the effects'),
+    ('arm.mcap', '--load r_hand --ur-payload x', 'the samples show no load at r_hand: there is none to write.'),
     ('arm.mcap', '--crisp-friction x', 'no friction is known; expected outputs: effort'),
     ('arm.mcap', '--load r_hand --keep-inertias --flange r_upper_arm --libfranka x',
      "what is carried at 'r_hand' moves against 'r_upper_arm'; expected a link that is"),

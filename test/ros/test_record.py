@@ -287,7 +287,7 @@ def test_mistakes_are_one_sentence_and_leave_no_file(tmp_path, arguments, senten
 
 @pytest.mark.parametrize(('arguments', 'sentence'), [
     (['--count', 'many'], "'many' is no count: expected N or TOPIC=N"),
-    (['--until-idle', 0], 'the idle time must be above 0'),
+    (['--until-idle', 0], 'the idle time must be a finite number above 0'),
 ])
 def test_a_senseless_end_is_refused(tmp_path, capsys, arguments, sentence):
     assert sentence in refusal(capsys, 'record', tmp_path / 'out.mcap', *arguments)
@@ -310,7 +310,7 @@ def test_an_older_file_is_not_replaced_unless_asked(tmp_path):
 def test_counts_and_limits_as_written():
     assert parse_count('12') == (12, None) and parse_count('/a=3') == (3, '/a')
     assert Limits(idle_s=1.0).idle_s == 1.0
-    with pytest.raises(SemiparamError, match='duration must be above 0'):
+    with pytest.raises(SemiparamError, match='duration must be a finite number above 0'):
         Limits(duration_s=-time.monotonic())
 
 

@@ -85,6 +85,7 @@ def test_the_baseline_belongs_to_the_robot():
     ({'rate_hz': 0.0}, 'rate 0.0 Hz is out of range'),
     ({'rate_hz': float('nan')}, 'rate nan Hz is out of range'),
     ({'seed': -1}, 'seed is negative'),
+    ({'rate_hz': 1e-12}, 'expected at most 100000 s'),
     ({'noise': -1.0}, 'noise -1.0 is out of range'),
     ({'encoder_noise': float('inf')}, 'encoder_noise inf is out of range'),
     ({'motion': 'dance'}, "motion 'dance' is unknown"),

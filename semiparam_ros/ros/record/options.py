@@ -29,7 +29,7 @@ class Limits:
     def __post_init__(self) -> None:
         for what, value in (('count', self.count), ('idle time', self.idle_s), ('duration', self.duration_s)):
             if value is not None and not 0 < value < float('inf'):
-                raise SemiparamError(f'the {what} must be above 0, got {value:g}.')
+                raise SemiparamError(f'the {what} must be a finite number above 0, got {value:g}.')
 
 
 @dataclass(frozen=True)
