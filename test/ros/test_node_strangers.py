@@ -1,17 +1,20 @@
 """What others publish on the node's topics: a gripper's joint states, optional accelerations, messages of any size."""
 
+import os
+import signal
 import time
 from dataclasses import replace
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import WrenchStamped
+from rcl_interfaces.srv import SetParametersAtomically
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 from semiparam_ros.core.robot.urdf import MOST_CHARACTERS
 from semiparam_ros.ros.cdr import MOST_BYTES, joint_state_layout
 from semiparam_ros.settings import Settings
-from support.node_client import set_stamp
+from support.node_client import children_of, messages, set_stamp
 from support.node_fuzz import resident_mb
 from support.node_helpers import JOINTS, SETTINGS, URDF, motion
 from support.replay_peers import Peer
@@ -208,3 +211,20 @@ def test_a_strangers_zeros_are_refused_as_another_robots(start_node):
         client.wait(lambda: len(client.stamps('residual')) >= 200, 'the robot is answered')
     assert set(client.stamps('residual')) == {sample.stamp for sample in samples}
     assert 'this one is of another robot' in values['last refusal']
+
+
+def test_who_waits_for_a_model_is_answered_when_the_node_ends(start_node):
+    """The reply was held for the model, and never sent."""
+    node, client = start_node(replace(SETTINGS, variant='P'))
+    client.offer('joint_states', 'wrench', 'joint_accelerations')
+    client.play(motion(100), JOINTS)
+    client.take_over()
+    for worker in children_of(node.process.pid):
+        os.kill(worker, signal.SIGSTOP)
+    wish = SetParametersAtomically.Request(parameters=messages({'variant': 'NP-ML'}))
+    reply = client.begin(SetParametersAtomically, 'set_parameters_atomically', wish)
+    client.wait(lambda: client.get('variant')[0].string_value == 'NP-ML', 'the node knows')
+    in_time = not reply.done()
+    assert node.stop() == 0
+    client.wait(reply.done, 'the answer', 5.0)
+    assert not in_time or reply.result().result.reason == 'the node ends before the model is there.'

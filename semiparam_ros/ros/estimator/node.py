@@ -116,6 +116,7 @@ class EstimatorNode(AnsweringNode, LearnerListener):
 
     def close(self) -> None:
         """End the background processes, let the last answers arrive, and leave the graph."""
+        self._held_replies.settle(False, 'the node ends before the model is there.')
         self._autosave.close()
         self._requests.close()
         self._diagnosing.close()
