@@ -25,12 +25,14 @@ class FolderLock:
         self._descriptor: int | None = None
 
     def take(self) -> None:
-        """Take it, or have it already. Raises SemiparamError while another process has it.
+        """Take it, or have it; anew where its file has gone. Raises SemiparamError while another process has it.
 
         Where no lock can be made (no folder, a file system without locks) nothing is said: writing tells what is wrong.
         """
         if self._descriptor is not None:
-            return
+            if self._is_there(self._descriptor):
+                return
+            self.release()
         with suppress(OSError):
             self._folder.mkdir(parents=True, exist_ok=True)
         flags = os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK
@@ -48,6 +50,14 @@ class FolderLock:
         if self._descriptor is not None:
             os.close(self._descriptor)
             self._descriptor = None
+
+    def _is_there(self, descriptor: int) -> bool:
+        """Whether the file that is locked is the one that others find: the folder may have been removed and made
+        anew."""
+        try:
+            return os.path.samestat(os.fstat(descriptor), self._path.lstat())
+        except OSError:
+            return False
 
     def _locked(self, written: int) -> int | None:
         """A descriptor that has the lock of a file open for writing; None where there are no locks."""

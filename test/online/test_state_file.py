@@ -532,6 +532,21 @@ def test_another_process_of_the_same_name_does_not_write(tmp_path):
     FolderLock(tmp_path / 'file', 'arm').take()  # writing tells what is wrong there
 
 
+def test_a_lock_whose_folder_was_removed_is_taken_anew(tmp_path):
+    """A second node of the name wrote beside the first one, into the folder that this had made anew."""
+    folder, other = tmp_path / 'states', tmp_path / 'other'
+    first, second = FolderLock(folder, 'arm'), FolderLock(folder, 'arm')
+    first.take()
+    folder.rename(other)
+    first.take()
+    with pytest.raises(SemiparamError, match='another node of the name arm'):
+        second.take()
+    folder.rename(tmp_path / 'third')
+    second.take()
+    with pytest.raises(SemiparamError, match='another node of the name arm'):
+        first.take()
+
+
 @contextmanager
 def other_process(folder, name):
     """One that has the lock, however it ends."""
