@@ -346,7 +346,7 @@ class SampleStream:
         if not isfinite(sum(values)):
             self._refuse('not_finite', f'{what} at {in_seconds(stamp)} s holds a value that is not finite.')
             return False
-        if values and not (min(values) > -LARGEST and max(values) < LARGEST):
+        if values and not (min(values) >= -LARGEST and max(values) <= LARGEST):
             self._refuse('out_of_range', f'{what} at {in_seconds(stamp)} s holds {max(values, key=abs):g}; expected '
                                          f'values within {LARGEST:g}.')
             return False

@@ -1,4 +1,5 @@
-"""Services that answer whatever happens: rclpy sends no response when a callback raises, and its executor ends."""
+"""Services that answer, and a clock that goes on, whatever happens: where a callback raises, rclpy sends no response
+and its executor ends."""
 
 from __future__ import annotations
 
@@ -12,20 +13,41 @@ from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.service import Service
+from rclpy.subscription import Subscription
+from rosgraph_msgs.msg import Clock
 
-from semiparam_ros.errors import shortened
+from semiparam_ros.errors import SemiparamError, shortened
 
 KNOWN_TYPES = {kind.value for kind in Parameter.Type}
 
 
 class AnsweringNode(Node):
-    """A node whose services, those of its parameters included, send a response whatever is asked of them."""
+    """A node whose services, those of its parameters included, send a response whatever is asked of them; a simulated
+    time before 1970 is refused, where rclpy raises an exception."""
 
     def create_service(self, srv_type: Any, srv_name: str, callback: Callable[[Any, Any], Any],
                        **options: Any) -> Service:
         """As every node does, but whatever the callback raises, a response is sent."""
         return super().create_service(srv_type, srv_name, answering(callback, partial(self.failure, srv_name)),
                                       **options)
+
+    def create_subscription(self, msg_type: Any, topic: str, callback: Callable[..., Any], qos_profile: Any,
+                            **options: Any) -> Subscription:
+        """As every node does, but a simulated time that rclpy cannot take goes to :meth:`message_failed`."""
+        if msg_type is Clock and not options.get('raw'):
+            callback = partial(self._take_time, callback)
+        return super().create_subscription(msg_type, topic, callback, qos_profile, **options)
+
+    def _take_time(self, take: Callable[[Clock], Any], message: Clock) -> None:
+        if message.clock.sec < 0:
+            self.message_failed('/clock', SemiparamError(f'/clock has the time {message.clock.sec} s; '
+                                                         'expected one from 0 on.'))
+        else:
+            take(message)
+
+    def message_failed(self, place: str, error: Exception) -> None:
+        """A message could not be taken; the node goes on."""
+        self.get_logger().error(str(error), throttle_duration_sec=1.0)
 
     def failure(self, service: str, error: Exception) -> str:
         """Sentence for who called a service whose callback raised an error."""

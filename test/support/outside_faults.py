@@ -281,12 +281,15 @@ def _clock_jumps(folder, settings, times):
             set_stamp(message, robot.samples[robot.played].stamp)
             clock.publish(Clock(clock=message))
         client.wait(lambda: 'the clock jumped' in node.output, 'the jump is told')
+        clock.publish(Clock(clock=Time(sec=-5)))
+        client.wait(lambda: '/clock has the time -5 s; expected one from 0 on.' in node.output, 'it is refused')
         robot.move(part)
         residual = np.abs(client.values('residual'))
         assert residual[-part:].mean() < 3.0 * residual[180:200].mean(), 'the model was kept'
         refused = _refused(client)
-    assert not refused
-    return {'jumps ahead': times, 'jumps back': times, 'samples answered': robot.played, 'refused': 0}
+    assert refused == {'/clock': 1}
+    return {'jumps ahead': times, 'jumps back': times, 'samples answered': robot.played,
+            'refused': sum(refused.values())}
 
 
 def one_stamp_of_next_year(folder, full):

@@ -288,7 +288,7 @@ def desired_state(point: TrajectoryPoint, order: Sequence[int], n_names: int, in
         if len(values) != n_names:
             raise SemiparamError(f'point {index} of desired_trajectory has {len(values)} {what} for {n_names} joints.')
         chosen = values[order]
-        if not (np.abs(chosen) < LARGEST).all():
+        if not (np.abs(chosen) <= LARGEST).all():
             raise SemiparamError(f'point {index} of desired_trajectory has {what} {chosen.tolist()}; expected finite '
                                  f'ones within {LARGEST:g}.')
         state.append(chosen)
