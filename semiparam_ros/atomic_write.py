@@ -1,4 +1,4 @@
-"""Whole files or nothing: the one way in which this package writes a result.
+"""Whole files, or whole lines, or nothing: the one way in which this package writes a result.
 
 What is written goes into a neighbour of the file, which takes its name when it is complete. A write that fails or is
 interrupted removes the neighbour and leaves an older file of the name as it was.
@@ -66,6 +66,26 @@ def write_text(path: str | os.PathLike[str], text: str) -> None:
     """Write a whole text file in UTF-8 or nothing; raises SemiparamError when it cannot be written."""
     with replacing(path) as stream:
         stream.write(text.encode())
+
+
+def append_line(path: str | os.PathLike[str], line: str) -> None:
+    """Add a line in UTF-8 to a file, which is made with its folder where there is none: all of it or nothing.
+
+    Who reads meanwhile may see a part of it, without the line's end. Raises SemiparamError when it cannot be written.
+    """
+    path = Path(path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with path.open('ab', buffering=0) as stream:
+            end, left = stream.tell(), memoryview(f'{line}\n'.encode())
+            try:
+                while left:
+                    left = left[stream.write(left):]
+            except OSError:
+                stream.truncate(end)
+                raise
+    except OSError as error:
+        raise SemiparamError(f'cannot write {path}: {error.strerror or error}.') from error
 
 
 def remove_leftovers(path: str | os.PathLike[str]) -> None:

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from matplotlib.figure import Figure
 
-from semiparam_ros.atomic_write import remove_leftovers, replacing, require_writable, write_text
+from semiparam_ros.atomic_write import append_line, remove_leftovers, replacing, require_writable, write_text
 from semiparam_ros.bags.writer import BagWriter
 from semiparam_ros.cli.main import main
 from semiparam_ros.cli.options import write_json
@@ -35,7 +35,8 @@ def bag(path):
             writer.write('/t', 'std_msgs/msg/String', {'data': 'x' * 10000}, stamp)
 
 
-WRITERS = {'text': lambda path: write_text(path, 'x' * BIG), 'json': lambda path: write_json(path, {'x': 'x' * BIG}),
+WRITERS = {'text': lambda path: write_text(path, 'x' * BIG), 'line': lambda path: append_line(path, 'x' * BIG),
+           'json': lambda path: write_json(path, {'x': 'x' * BIG}),
            'params': lambda path: dump_params(Settings(robot_description='x' * BIG), path),
            'plot': lambda path: save_figure(path, figure()), 'bag': bag}
 

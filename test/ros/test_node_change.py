@@ -90,7 +90,8 @@ def test_a_load_is_told_applied_and_taken_back_and_nobody_touches_anything(tmp_p
 
         def records():
             path = tmp_path / 'states' / 'changes.jsonl'
-            return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+            lines = path.read_text().split('\n')[:-1] if path.exists() else []  # the last one may be half written
+            return [json.loads(line) for line in lines]
 
         def decided(what):
             return [record for record in records() if [last['what'] for last in record['decisions'][-1:]] == [what]]

@@ -12,8 +12,10 @@ from rclpy.logging import LoggingSeverity, get_logger
 
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online.checkpoint import Checkpoints
+from semiparam_ros.online.folder_lock import FolderLock
 from semiparam_ros.online.identified_parameters import Load, reported_load
 from semiparam_ros.ros.estimator.autosave import Autosave
+from semiparam_ros.ros.estimator.changing import Changing
 from semiparam_ros.ros.estimator.diagnosing import Diagnosing, Running
 from semiparam_ros.ros.estimator.diagnostics import (
     OK,
@@ -289,3 +291,19 @@ def test_what_is_said_may_be_an_error_once_and_a_warning_later():
     for severity in (LoggingSeverity.ERROR, LoggingSeverity.WARN, LoggingSeverity.INFO, LoggingSeverity.ERROR):
         Reports.say(reports, f'a sentence of {severity.name}', severity)
         assert reports._news == f'a sentence of {severity.name}'
+
+
+def test_a_line_of_changes_names_its_node_and_a_second_node_of_the_name_adds_none(tmp_path):
+    refused, held, record = [], [], SimpleNamespace(sentence='The robot has changed.', as_dict=lambda: {'change': 1})
+    for name in ('/left/estimator', '/right/estimator', '/left/estimator'):
+        node = SimpleNamespace(create_publisher=lambda *_: None, get_fully_qualified_name=lambda name=name: name)
+        changing = Changing(node, lambda: None, tmp_path, FolderLock(tmp_path, name), lambda sentence: None,
+                            lambda function, *arguments: function(*arguments),
+                            lambda place, error: refused.append(str(error)))
+        changing.announce(record)
+        changing.close()
+        held.append(changing)  # each has its lock yet
+    written = (tmp_path / 'changes.jsonl').read_text().splitlines()
+    assert [json.loads(line) for line in written] == [{'node': '/left/estimator', 'change': 1},
+                                                      {'node': '/right/estimator', 'change': 1}]
+    assert len(refused) == 1 and 'so this one writes none there' in refused[0]

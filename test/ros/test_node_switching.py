@@ -20,7 +20,7 @@ from support.node_client import Client, NodeProcess
 from support.node_helpers import write_bag
 from support.replay_peers import Tool
 
-COMPARED, SLOW_MACHINE_S = 20, 15.0
+COMPARED, SLOW_MACHINE_S = 20, 4.0
 ORDER = [*(variant for variant in CHOICES if variant != 'SPK-ML'), 'SPK-ML']
 FEW = ['P', 'SP2-VS', AVERAGED, 'SPK-ML']
 

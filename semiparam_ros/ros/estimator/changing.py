@@ -10,10 +10,12 @@ from pathlib import Path
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 
+from semiparam_ros.atomic_write import append_line
 from semiparam_ros.core.stamps import NANOSECONDS
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online.change_watch import QUIET, STATES, ChangeRecord
 from semiparam_ros.online.file_thread import FileThread
+from semiparam_ros.online.folder_lock import FolderLock
 from semiparam_ros.online.learner import Learner
 from semiparam_ros.ros.estimator.diagnostics import OK, WARN, Report, status_message
 from semiparam_ros.ros.estimator.publishers import LATCHED
@@ -26,7 +28,7 @@ class Changing:
     the latest change.
 
     :param learner: gives the learner, None before the robot is known. :param folder: where the file
-        of records lies.
+        of records lies. :param lock: the right to write there.
     :param say: receives sentences for the log. :param schedule: see :data:`Scheduler`. :param failed:
         receives an error and its place.
     """
@@ -36,6 +38,7 @@ class Changing:
         node: Node,
         learner: Callable[[], Learner | None],
         folder: Path,
+        lock: FolderLock,
         say: Callable[[str], None],
         schedule: Callable[..., object],
         failed: Callable[[str, Exception], object],
@@ -47,7 +50,7 @@ class Changing:
             schedule,
             failed,
         )
-        self._path, self._file = folder / FILE, FileThread('changes')
+        self._path, self._file, self._lock = folder / FILE, FileThread('changes'), lock
         self._publisher = node.create_publisher(DiagnosticArray, '~/change', LATCHED)
         self._state = ''
 
@@ -64,8 +67,13 @@ class Changing:
     def announce(self, record: ChangeRecord) -> None:
         """A change is new, or more is known of it."""
         self._say(record.sentence)
-        line = json.dumps(record.as_dict()) + '\n'
-        self._file.submit(partial(self._write, line), partial(self._schedule, self._written))
+        try:
+            self._lock.take()
+        except SemiparamError as error:
+            self._failed('the file of changes', error)
+        else:
+            line = json.dumps({'node': self._node.get_fully_qualified_name(), **record.as_dict()})
+            self._file.submit(partial(append_line, self._path, line), partial(self._schedule, self._written))
         learner = self._learner()
         if learner is not None:
             self._publish(learner)
@@ -110,15 +118,6 @@ class Changing:
         self._state = learner.changes.state
         self._publisher.publish(status_message(self._node, 'change', '', self.report()))
 
-    def _write(self, line: str) -> None:
-        self._path.parent.mkdir(parents=True, exist_ok=True)
-        with self._path.open('a', encoding='utf-8') as file:
-            file.write(line)
-
     def _written(self, _: None, error: Exception | None) -> None:
-        if isinstance(error, OSError):
-            error = SemiparamError(
-                f'{self._path} cannot be written: {error.strerror}; the change is told on ~/change.'
-            )
         if error is not None:
             self._failed('the file of changes', error)

@@ -98,7 +98,7 @@ class EstimatorNode(AnsweringNode, LearnerListener):
                                   lambda: self._robot.description, self._background,
                                   folder_of(settings), lock, guarded, self.errors)
         self._diagnosing = Diagnosing(self, self._live, self._the_learner, guarded, self.errors)
-        self._changing = Changing(self, lambda: self.learner, folder_of(settings), self._reports.say, guarded,
+        self._changing = Changing(self, lambda: self.learner, folder_of(settings), lock, self._reports.say, guarded,
                                   lambda place, error: self._report(error, place))
         self._autosave = Autosave(self, settings, lock,
                                   lambda: None if self.learner is None else self.learner.state(),
