@@ -73,7 +73,7 @@ class SquareRootFilter:
             self._settle()
         root, size, used = self.root, self.size, estimates.any(axis=1)
         placed = int(used.sum())
-        root.array[size:] = 0.0
+        root.array[size:], root.right[:, size:] = 0.0, 0.0  # of an estimate whose place is yet to be given again
         if deviation is not None:
             root.array[:size] = deviation * np.eye(size)
             root = root._replace(waiting=0, inflation=1.0)

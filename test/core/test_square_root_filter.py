@@ -70,6 +70,23 @@ def test_an_estimate_that_was_zero_for_long_is_placed_with_its_first_innovation(
     np.testing.assert_allclose(array.estimates(), expected, atol=1e-12)
 
 
+@pytest.mark.parametrize('deviation', [2.0, None])
+def test_begun_anew_it_knows_nothing_of_what_waited_before(deviation):
+    """Places that are given again held what estimates of before had waited with."""
+    features, measured = rows()
+    array = SquareRootFilter(D, 2.0, Q)
+    for phi, row in zip(features[:13], measured[:13], strict=True):
+        learn(array, phi, row)
+    array.begin(deviation, np.zeros((Q, D)))
+    measured[13:17, 1:] = 0.0
+    expected = np.zeros((Q, D))
+    for phi, row in zip(features[13:19], measured[13:19], strict=True):
+        projection = array.project(phi)
+        expected += np.outer(row - expected @ phi, projection.reach / (SIGMA**2 + projection.f @ projection.f))
+        learn(array, phi, row)
+        np.testing.assert_allclose(array.estimates(), expected, atol=1e-12)
+
+
 @pytest.mark.parametrize('places', [[0, 1, 1, 2, 3], [0, 2, -1, -1, 3], [-2, 0, 1, 2, 3]])
 def test_impossible_places_are_refused(places):
     array = SquareRootFilter(D, 1.0, Q)
