@@ -182,7 +182,12 @@ class Ensemble:
 
     def follow_change(self, directions: Array | None) -> None:
         """The robot has changed: see :meth:`OnlineModel.follow_change`; of what was learnt before, nothing
-        is taken back."""
+        is taken back.
+
+        Theta moves by more than what samples have brought to it, from which features of half-finished horizons follow.
+        """
+        if any(each.model.features is not None for each in self.models):
+            self.clear_horizons()
         self.carried.interrupt()
         self._marks.clear()
         for each in self.models:

@@ -261,3 +261,18 @@ def test_members_return_from_a_change_with_their_horizons_and_a_state_holds_what
     offset = np.abs(steps[place + 1].mean - steps[place + 1].model_mean)
     assert (offset < 0.1 * load).all(), 'what followed the errors of the other model is forgotten'
     assert (error(steps[COUNT // 2:]) < 0.3 * load**2).all() and steps[-1].horizon is not None
+
+
+def test_horizons_of_features_that_a_change_falls_into_are_dropped(averaged):
+    """They went on with a Theta that was not the one of their models."""
+    samples, model, _ = averaged
+    model = pickle.loads(pickle.dumps(model))
+    model.clear_horizons()
+    shift = int(samples.stamps[-1] - samples.stamps[0] + 10**7)
+    steps = []
+    for number, sample in enumerate(samples[:20]):
+        if number == 10:
+            model.follow_change()
+        steps.append(model.step(sample._replace(stamp=sample.stamp + shift)))
+    known = [False] * 4 + [True] * 6 + [not model.features_count] * 4 + [True] * 6
+    assert [step.horizon is not None for step in steps] == known
