@@ -188,14 +188,14 @@ class OnlineModel:
     def follow_change(self, directions: Array | None = None) -> None:
         """See :meth:`~semiparam_ros.core.recursion.SemiParametricRecursion.follow_change`.
 
-        A model without columns has nothing to follow directions by, and follows any change.
+        A model that does not learn these columns has nothing to follow directions by, and follows any change.
 
-        :param directions: (q, k) of the first q of its columns.
+        :param directions: (q, k) of the first q of C.
         """
         recursion = self.model.recursion
         if directions is not None:
-            more = recursion.n_columns - len(directions)
-            directions = np.pad(directions, ((0, more), (0, 0))) if more >= 0 else None
+            of_effects = recursion.n_columns - len(directions)
+            directions = None if self.model.learnt.start else np.pad(directions, ((0, of_effects), (0, 0)))
         recursion.follow_change(directions)
 
     def go_back(self) -> None:

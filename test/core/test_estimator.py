@@ -600,3 +600,18 @@ def test_the_horizon_holds_the_wandering_offset_of_each_model(trained, recording
     assert found.origin == origin and np.abs(model.ensemble.first.wandering.offset).max() > 1e-4
     # How sure each member of an average is of a sample is what it says when that comes, having learnt those before.
     np.testing.assert_allclose(found.eps, error / power, rtol=1e-3 if model.weights else 1e-9)
+
+
+@pytest.mark.parametrize('variant', ['NP-ML', 'SP-ML'])
+def test_a_model_that_learns_effects_alone_does_not_take_them_for_what_changed(arm, variant):
+    """With as many columns of effects as of the rigid body, directions of its inertias widened those of the effects."""
+    effects = [effect_from_text(kind) for kind in ('payload@r_gripper', 'sensor_drift', 'sensor_offset',
+                                                   'thermal_drift{"time_constant_s": 9.0}')]
+    scaling = {'input_mean': (0.0,) * 12, 'input_scale': (1.0,) * 12}
+    own = Estimator(arm, ModelOptions(variant='P')).columns.n_own
+    given = Hyperparameters(0.0, 1.0, (2.0,), 0.1, (1.0,) * 6, (0.0,) * own if variant == 'SP-ML' else None)
+    model = Estimator(arm, ModelOptions(variant=variant, hyperparameters=given, alone=True, **scaling), effects)
+    assert model.columns.n_effects >= own
+    before = model.model.recursion.theta_covariance()
+    model.follow_change(np.ones((own, 2)))
+    np.testing.assert_allclose(model.model.recursion.theta_covariance(), before)
