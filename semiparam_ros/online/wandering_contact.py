@@ -24,7 +24,8 @@ def contact_scale(body: RigidBody) -> Array:
     """(n,) standard deviation of what an output feels of a contact anywhere."""
     if body.outputs == 'wrench':
         return push_force(body) * np.repeat([1.0, reach_of(body)], 3)
-    return push_force(body) * np.array([size_beyond(body, joint).length for joint in body.output_names])
+    lever = [1.0 if joint in body.prismatic else size_beyond(body, joint).length for joint in body.output_names]
+    return push_force(body) * np.array(lever)
 
 
 def edge_sums(own: Array) -> tuple[Array, Array]:

@@ -10,13 +10,16 @@ from scipy.stats import multivariate_normal
 
 from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.model import ModelOptions
+from semiparam_ros.core.robot.rigid_body import RigidBody
+from semiparam_ros.core.robot.size import push_force, size_beyond
 from semiparam_ros.diagnosis.change import gain_since, name_change
 from semiparam_ros.effects import effect_from_text
 from semiparam_ros.online.change_causes import Judged
 from semiparam_ros.online.changes import LENGTHS, USUAL, ChangeDetector
 from semiparam_ros.online.diagnosis_jobs import diagnose
 from semiparam_ros.online.history import batch_of
-from semiparam_ros.online.wandering_contact import WANDERS, wandering
+from semiparam_ros.online.wandering_contact import WANDERS, contact_scale, wandering
+from support.arms import ODD_ARM, ODD_JOINTS
 from support.changing_arm import (
     CALM,
     LOADED_S,
@@ -267,6 +270,14 @@ def test_the_evidence_of_a_contact_is_that_of_a_random_walk():
                 expected = multivariate_normal(cov=design @ prior @ design.T + noise).logpdf(y)
                 expected -= multivariate_normal(cov=noise).logpdf(y)
                 assert found[begin, row, column, 0] == pytest.approx(expected, rel=1e-9)
+
+
+def test_a_joint_that_slides_feels_the_force_of_a_contact_whatever_it_carries():
+    """It was a force [N] times a length [m]: a push that a short lift felt was too large to be one."""
+    body = RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, 'effort')
+    lift, *others = contact_scale(body) / push_force(body)
+    assert lift == 1.0
+    assert others == pytest.approx([size_beyond(body, joint).length for joint in ODD_JOINTS[1:]])
 
 
 def test_a_jump_of_the_sensor_is_told_from_a_load():
