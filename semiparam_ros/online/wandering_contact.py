@@ -1,9 +1,9 @@
 """Evidence of a contact: a wrench at the hand, or a force on each output, that wanders.
 
 What acts goes along a line from edge to edge of blocks of motion, and its values at the edges are a
-random walk:
+random walk, from the last edge B back, so that one pass tells of every block at which it may have begun:
 
-    w_0 ~ N(0, V),    w_b+1 = w_b + N(0, d^2 V),    r = [(1 - t) J, t J] (w_b, w_b+1) + N(0, kappa S^2)
+    w_B ~ N(0, V),    w_b = w_b+1 + N(0, d^2 V),    r = [(1 - t) J, t J] (w_b, w_b+1) + N(0, kappa S^2)
 """
 
 from __future__ import annotations
