@@ -398,6 +398,12 @@ class ChangeWatch:
     def _followed(self) -> Followed | None:
         return None if self.detector is None else self.detector.followed
 
+    def begin(self) -> None:
+        """Go on with an estimator that has not learnt what the one before did; what was told stays."""
+        self.reset()
+        self.forget()
+        self._learnt, self._anew_at, self._held_s = [], 0, 0.0
+
     def forget(self) -> None:
         """Another model predicts, of which nothing is known yet; what was told stays."""
         self.detector = self._columns = None

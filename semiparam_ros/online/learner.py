@@ -134,8 +134,7 @@ class Learner:
             self._renewal.restore(renewal)
             self.switcher.renewed = self._renewal.done
         self.gate.forget()
-        self.changes.reset()
-        self.changes.forget()
+        self.changes.begin()
         self.estimator, self.built = estimator, settings
         self.history = History(settings.initial_samples, settings.retained_samples, self.body.n_joints,
                                estimator.origin)

@@ -355,6 +355,21 @@ def test_a_return_from_what_was_taken_back_ends_no_earlier_change(forgotten):
     assert watch._learnt == [load._replace(number=again + 1)], 'that it came again was told already'
 
 
+def test_a_model_that_begins_anew_returns_from_no_change_that_another_one_had_learnt():
+    """After ~/reset, what the new model returned from was told as the end of a load of long before."""
+    stage = Stage(SETTINGS, InlineBackground(), free()[0])
+    watch = stage.learner.changes
+    watch.records[1] = ChangeRecord(Change(1, 10**9, 2 * 10**9, 'payload', 'r_gripper', 0.2, 0.01, 20.0, ()))
+    watch.began_anew(Learning.AFTER_LOAD, told=True)
+    watch._learnt[-1] = watch._learnt[-1]._replace(number=1)
+    stage.learner.reset()
+    watch.detector = ChangeDetector(stage.learner.estimator.columns, max(watch.records))
+    watch.began_anew(Learning.AFTER_CHANGE, told=False)
+    for _ in range(2):  # it is over, and comes again
+        watch.returned(5 * 10**9)
+    assert watch.records[1].change.ended is None and not stage.changes
+
+
 @pytest.mark.parametrize(('told', 'expected'), [
     ({}, Learning.YES), ({'follows': Learning.AFTER_LOAD}, Learning.RETURNED),
     ({'follows': Learning.AFTER_LOAD, 'holds': True, 'begins_to_hold': False}, Learning.OFFSET)])
