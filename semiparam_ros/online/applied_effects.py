@@ -237,12 +237,12 @@ class AppliedEffects:
         self, number: int, effect: Effect, coefficients: Array, std: Array, now: int
     ) -> bool:
         """Take an effect and its coefficients (c,) from ``now`` [ns] on as that of a change; whether
-        it is to be tried from now on. One that is applied, or was, keeps its kind and its place."""
+        it is to be tried from now on. One that is applied, or was, keeps its kind; each keeps its place,
+        in which blocks have what it adds."""
         effect, known = effect.without_span(), self.of_change(number)
         if known is None or not (known.applied or known.remembered):
-            self._keep(trial for trial in self.trials if trial is not known)
-            self.trials.append(KnownEffect(number, effect, coefficients, std, since=now))
-            self._changed()
+            tried = KnownEffect(number, effect, coefficients, std, since=now)
+            self._keep([*(tried if trial is known else trial for trial in self.trials), *[tried][:known is None]])
             return True
         if (known.effect.kind, known.effect.where) == (effect.kind, effect.where):
             if known.acting:

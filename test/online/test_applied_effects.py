@@ -523,6 +523,20 @@ def test_an_effect_for_which_nothing_speaks_is_tried_for_so_long_and_dropped():
     assert [trial.number for trial in applied.trials] == [1], 'what is applied stays'
 
 
+def test_what_a_block_has_of_an_effect_that_is_named_anew_speaks_for_no_other_one():
+    """The other one that was tried got its place in the list, and so its evidence: it was applied."""
+    body, _ = free()
+    applied, n = AppliedEffects(body), body.n_outputs
+    effect = effect_from_text('sensor_offset{"start_s": 1.0}')
+    for number in (1, 2, 1):  # the first one is named anew while a block comes
+        applied.offer(number, effect, np.ones(n), np.ones(n), 0)
+    block = block_of(n, 2)
+    block.added[0] = np.stack([np.full(n, 90.0), np.full(n, 1.0)])
+    block.added[1] = np.stack([np.full(n, -50.0), np.full(n, 1.0)])
+    found = applied.judge(block, 1.0, 600.0)
+    assert found is not None and found.number == 1
+
+
 def test_one_that_is_remembered_keeps_none_from_being_taken_back_when_nothing_is_applied_any_more():
     """After ``diagnosis.auto`` went from ``apply`` to ``report``."""
     body, _ = free()
