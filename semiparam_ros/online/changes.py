@@ -369,7 +369,7 @@ class ChangeDetector:
         now, covariance = self._reference, self._covariance
         self.reset()
         if reference is not None and now is not None and now.shape == reference.shape:
-            self._reference, self._covariance, self._held = reference, covariance, True
+            self._reference, self._covariance, self._held = reference.copy(), covariance, True
 
     def _begin_block(self) -> None:
         p, n = len(self._directions), len(self._names)

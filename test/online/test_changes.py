@@ -15,7 +15,7 @@ from semiparam_ros.core.robot.size import push_force, size_beyond
 from semiparam_ros.diagnosis.change import gain_since, name_change
 from semiparam_ros.effects import effect_from_text
 from semiparam_ros.online.change_causes import Judged
-from semiparam_ros.online.changes import LENGTHS, USUAL, ChangeDetector
+from semiparam_ros.online.changes import JUDGED_ANEW, LENGTHS, USUAL, ChangeDetector, MotionBlock
 from semiparam_ros.online.diagnosis_jobs import diagnose
 from semiparam_ros.online.history import batch_of
 from semiparam_ros.online.wandering_contact import WANDERS, contact_scale, wandering
@@ -305,6 +305,24 @@ def test_a_jump_of_the_clock_drops_what_was_half_seen():
     detector.reset()
     assert detector.followed is None
     assert detector.knows, 'what is usual stays'
+
+
+def test_what_was_known_before_an_effect_was_applied_is_kept_when_a_later_change_is_part_of_the_robot():
+    """It was changed in place: taken back, the load left a model of before with the other change in it."""
+    _, detector, _ = beginning(free()[0])
+    detector._reference = np.ones(detector._n_own)
+    before = detector.reference
+    detector.resume(before)
+    n, k = len(detector._names), detector._directions.shape[1]
+    (jump,) = [cause for cause in detector.causes if cause.kind == 'sensor_offset']
+    judged = Judged(jump, 1, np.ones(6), np.eye(6), 20.0)
+    block = MotionBlock(0, 10**9, np.zeros((k, k)), np.zeros(k), (np.zeros(k), 0.0), 0.0, np.ones((6, n)),
+                        (np.zeros((12, 12)), np.zeros(12)), np.zeros((0, 2, n)))
+    for _ in range(2):
+        detector._blocks.append(block)
+        detector._change(10**9, judged)
+        detector.followed.blocks = JUDGED_ANEW
+    assert (detector.reference != 1.0).any() and (before == 1.0).all()
 
 
 @pytest.mark.parametrize('seconds', [6.0, 20.0])
