@@ -242,7 +242,8 @@ class AppliedEffects:
         effect, known = effect.without_span(), self.of_change(number)
         if known is None or not (known.applied or known.remembered):
             tried = KnownEffect(number, effect, coefficients, std, since=now)
-            self._keep([*(tried if trial is known else trial for trial in self.trials), *[tried][:known is None]])
+            kept = [tried if trial is known else trial for trial in self.trials]
+            self._keep(kept if known is not None else [*kept, tried])
             return True
         if (known.effect.kind, known.effect.where) == (effect.kind, effect.where):
             if known.acting:
