@@ -18,7 +18,7 @@ from semiparam_ros.bags.text_tables import (
     effort_factors,
     load_layout,
 )
-from semiparam_ros.bags.writer import BagWriter
+from semiparam_ros.bags.writer import BagWriter, partial_path
 from semiparam_ros.cli.options import console, progress_bar, require_bag_name, require_places
 from semiparam_ros.errors import SemiparamError
 
@@ -79,8 +79,9 @@ def _add_bag_arguments(group: Any) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Convert, and say on standard error what came out."""
-    require_places(args.output, inputs=[args.input, args.columns, args.robot_description])
     require_bag_name(args.output)
+    require_places(args.output, partial_path(args.output),
+                   inputs=[args.input, args.columns, args.robot_description])
     description = read_description(args.robot_description) if args.robot_description else None
     table = holds_arrays(args.input) or not is_bag(args.input)
     lines = _from_bag(args, description) if not table else _from_table(args, description)

@@ -283,6 +283,17 @@ def test_wrong_files_end_in_one_sentence(tmp_path, capsys):
     assert bag.read_bytes() == before
 
 
+def test_what_a_killed_recorder_left_is_not_written_over_while_it_is_read(tmp_path, capsys):
+    """The output is written as OUTPUT.mcap.partial: the recording was emptied, and its reader ended by SIGBUS."""
+    assert convert(table(tmp_path, '1 2 3 4\n'), tmp_path / 'run.mcap', *TWO_JOINTS) == 0
+    left = (tmp_path / 'run.mcap').rename(tmp_path / 'run.mcap.partial')
+    before = left.read_bytes()
+    assert 'run.mcap.partial is read, too; expected another name for the output' in refusal(
+        capsys, 'convert', left, tmp_path / 'run.mcap')
+    assert left.read_bytes() == before and not (tmp_path / 'run.mcap').exists()
+    assert convert(left, tmp_path / 'whole.mcap') == 0
+
+
 def test_header_stamps_can_come_from_the_log(tmp_path):
     path = table(tmp_path, '1 2 3 4\n1 2 3 4\n')
     convert(path, tmp_path / 'a.mcap', *TWO_JOINTS)
