@@ -175,5 +175,6 @@ def measured(scenario: Scenario, world: World, offset: Array, scale: Array, rng:
         outputs=output_readings(world.outputs + offset, noise_std, rng,
                                 scenario.noise_correlation_s * scenario.rate_hz),
         outputs_kind=world.arm.outputs, convention=scenario.convention,
-        frame_id=world.arm.sensor_frame or '', urdf=world.arm.urdf,
+        frame_id=(scenario.sensor_frame or world.arm.sensor_frame) if world.arm.sensor_frame else '',
+        urdf=world.arm.urdf,
         noise_std=noise_std, truth=tuple(truth), baseline_truth=tuple(extra))

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import zstandard
 
+from semiparam_ros.bags.loading import load_samples
 from semiparam_ros.bags.reader import open_bag
 from semiparam_ros.cli.main import main
 from semiparam_ros.cli.simulate import add_arguments, scenario_of
@@ -93,6 +94,16 @@ def test_a_parameter_file_names_the_robot(repository, tmp_path):
     assert main(['simulate', str(bag), '--samples', '50', '--motion', 'fourier', '--params', str(params)]) == 0
     state = next(iter(open_bag(bag).messages(['/joint_states']))).data
     assert list(state.name) == ['r_shoulder_roll', 'r_elbow']
+
+
+def test_the_wrench_is_in_the_frame_that_the_parameter_file_names(repository, tmp_path):
+    """It had the name of the link's joint, and every command refused the recording with the same parameters."""
+    settings = Settings(robot_description_file=str(repository / 'config' / 'icub_right_arm.urdf'), outputs='wrench',
+                        sensor_frame='r_upper_arm')
+    dump_params(settings, tmp_path / 'p.yaml')
+    bag = tmp_path / 'out.mcap'
+    assert main(['simulate', str(bag), '--samples', '20', '--params', str(tmp_path / 'p.yaml')]) == 0
+    assert len(load_samples(bag, settings).samples) == 20
 
 
 @pytest.mark.parametrize('described', ['file', 'text'])
