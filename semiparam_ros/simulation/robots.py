@@ -50,12 +50,12 @@ def _deformed(body: pin.Inertia, factor: float, deformation: Array) -> pin.Inert
 def arm_of(scenario: Scenario) -> Arm:
     """The arm as the URDF describes it; the package's own iCub arm when no URDF is given."""
     if scenario.urdf is None:
-        joints, frame = scenario.joints or ICUB_JOINTS, scenario.sensor_frame or ICUB_SENSOR
-        return Arm.from_urdf(bundled_urdf().read_text(), joints, scenario.outputs, frame, scenario.convention,
-                             scenario.locked)
-    joints = scenario.joints or urdf_edit.turning_joints(urdf_edit.parse(scenario.urdf))
-    return Arm.from_urdf(scenario.urdf, joints, scenario.outputs, scenario.sensor_frame,
-                         scenario.convention, scenario.locked)
+        urdf, every, frame = bundled_urdf().read_text(), ICUB_JOINTS, scenario.sensor_frame or ICUB_SENSOR
+    else:
+        urdf, frame = scenario.urdf, scenario.sensor_frame
+        every = urdf_edit.turning_joints(urdf_edit.parse(urdf))
+    joints = scenario.joints or tuple(name for name in every if name not in dict(scenario.locked))
+    return Arm.from_urdf(urdf, joints, scenario.outputs, frame, scenario.convention, scenario.locked)
 
 
 def homes_of(scenario: Scenario, arm: Arm) -> dict[str, Array]:

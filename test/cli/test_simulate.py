@@ -96,6 +96,16 @@ def test_a_parameter_file_names_the_robot(repository, tmp_path):
     assert list(state.name) == ['r_shoulder_roll', 'r_elbow']
 
 
+def test_a_joint_that_the_parameter_file_locks_does_not_move(repository, tmp_path):
+    """Where it names no joints: "joints names one joint twice"."""
+    settings = Settings(robot_description_file=str(repository / 'config' / 'icub_right_arm.urdf'), outputs='effort',
+                        locked_joints_names=('r_elbow',), locked_joints_positions=(1.4,))
+    dump_params(settings, tmp_path / 'p.yaml')
+    bag = tmp_path / 'out.mcap'
+    assert main(['simulate', str(bag), '--samples', '20', '--params', str(tmp_path / 'p.yaml')]) == 0
+    assert load_samples(bag, settings).joints == ICUB_JOINTS[:3]
+
+
 def test_the_wrench_is_in_the_frame_that_the_parameter_file_names(repository, tmp_path):
     """It had the name of the link's joint, and every command refused the recording with the same parameters."""
     settings = Settings(robot_description_file=str(repository / 'config' / 'icub_right_arm.urdf'), outputs='wrench',
