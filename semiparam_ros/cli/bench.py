@@ -76,7 +76,9 @@ def run(args: argparse.Namespace) -> int:
     """Time every contender for every D in this one process, on one thread."""
     # Before numpy loads: several threads would favour the large dense recursion and hide what a node can afford.
     os.environ.update(OMP_NUM_THREADS='1', OPENBLAS_NUM_THREADS='1')
-    options.require_places(args.json)
+    from semiparam_ros.settings.robot_description import resolved
+
+    options.require_places(args.json, inputs=[args.params, args.urdf, resolved(args.peers) if args.peers else None])
     if args.rounds < 1 or any(count < 2 or count % 2 for count in args.features or ()):
         raise SemiparamError('expected at least one round, and even numbers of features from 2 on.')
     if args.variants and not args.peers:

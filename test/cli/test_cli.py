@@ -94,6 +94,8 @@ def test_a_lone_name_gets_the_overview(capsys):
     ('convert a.mcap b.mcap --robot-description arm.yaml', "'arm.yaml': the robot description is not valid XML"),
     ('bench --variant P', '--peers, which is missing'),
     ('bench --json nowhere/b.json', 'cannot write nowhere/b.json'),
+    ('bench --peers a.mcap --json a.mcap', 'a.mcap is read, too; expected another name'),
+    ('bench --peers a.mcap --params arm.yaml --json arm.yaml', 'arm.yaml is read, too; expected another name'),
     ('record b.txt', "'b.txt' is no name for an MCAP bag"),
     ('record b.mcap --json nowhere/b.json', 'cannot write nowhere/b.json'),
 ])
