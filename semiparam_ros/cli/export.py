@@ -66,10 +66,13 @@ def run(args: argparse.Namespace) -> int:
     from semiparam_ros.export.report import document, lines, price
     from semiparam_ros.export.urdf import described_links
     from semiparam_ros.settings import load_params
+    from semiparam_ros.settings.robot_description import resolved
 
     paths = {form: _path(args, form) for form in FORMS}
     options.require_places(args.json, *paths.values(), inputs=[args.source, args.params])
     settings = load_params(args.params)
+    if settings.robot_description_file:
+        options.require_places(args.json, *paths.values(), inputs=[resolved(settings.robot_description_file)])
     texts = [f'payload@{link}' for link in args.load]
     settings = replace(settings, effects=(*settings.effects, *texts))
     estimate, urdf = _estimate(args, settings)

@@ -155,6 +155,15 @@ def test_a_form_that_the_robot_cannot_fill_is_refused_before_the_fit(folder, tmp
     assert not (tmp_path / 'x').exists()
 
 
+def test_the_description_that_the_parameters_name_is_not_replaced(folder, tmp_path, capsys):
+    (tmp_path / 'arm.urdf').write_text(URDF.read_text())
+    (tmp_path / 'p.yaml').write_text(PARAMS + '    robot_description_file: arm.urdf\n')
+    for option in ('--urdf', '--json'):
+        assert 'arm.urdf is read, too; expected another name for the output' in refusal(
+            capsys, 'export', folder / 'arm.mcap', '--params', tmp_path / 'p.yaml', option, tmp_path / 'arm.urdf')
+    assert (tmp_path / 'arm.urdf').read_text() == URDF.read_text()
+
+
 def test_what_a_wrong_sign_explains_is_no_robot(folder, tmp_path, monkeypatch, capsys):
     """Bodies were written that no inertia explains, of a recording that a diagnosis refuses."""
     monkeypatch.chdir(tmp_path)
