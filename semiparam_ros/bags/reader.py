@@ -84,16 +84,22 @@ def is_bag(path: Path) -> bool:
     if path.is_dir():
         return True
     try:
-        with path.open('rb') as file:
-            magic = file.read(32)
+        magic = _first_bytes(path)
     except OSError as error:
         raise SemiparamError(f'{str(path)!r} cannot be opened: {error.strerror or error}.') from error
     return any(fits(path, magic) for fits, _ in _FORMATS)
 
 
-def _open_file(path: Path) -> BagReader:
+def _first_bytes(path: Path) -> bytes:
+    """The first bytes of a file, but not of a pipe: what is read of one is gone."""
+    if path.exists() and not path.is_file():
+        raise SemiparamError(f'{str(path)!r} is a device or a pipe; expected a file.')
     with path.open('rb') as file:
-        magic = file.read(32)
+        return file.read(32)
+
+
+def _open_file(path: Path) -> BagReader:
+    magic = _first_bytes(path)
     if not magic:
         raise SemiparamError(f'{str(path)!r} is empty: expected a bag.')
     for fits, opened in _FORMATS:

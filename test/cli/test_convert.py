@@ -1,6 +1,7 @@
 """`semiparam convert`: tables and foreign bags become MCAP."""
 
 import math
+import os
 from pathlib import Path
 
 import numpy as np
@@ -281,6 +282,14 @@ def test_wrong_files_end_in_one_sentence(tmp_path, capsys):
             (bag, tmp_path / 'o.mcap', '--rate', '5'): '--rate is for text tables'}.items():
         assert sentence in refusal(capsys, 'convert', *arguments)
     assert bag.read_bytes() == before
+
+
+def test_a_pipe_is_refused(tmp_path, capsys):
+    """The rows that a look at the first bytes had taken out of it were missing, without a word."""
+    path = tmp_path / 'pipe'
+    os.mkfifo(path)
+    assert 'is a device or a pipe; expected a file' in refusal(
+        capsys, 'convert', path, tmp_path / 'out.mcap', *TWO_JOINTS)
 
 
 def test_what_a_killed_recorder_left_is_not_written_over_while_it_is_read(tmp_path, capsys):
