@@ -111,7 +111,7 @@ def parse_columns(text: object) -> tuple[int | str, ...]:
 def _converted(name: str, value: Any, where: str) -> Any:
     """Convert ``value`` to what the field of this name holds."""
     if name in ('joints', 'temperatures'):
-        return tuple(value.split(',') if isinstance(value, str) else map(str, value or ()))
+        return _names(name, value, where)
     if name == 'columns':
         if not isinstance(value, Mapping):
             raise SemiparamError(f'{where}: columns is {value!r}; expected a mapping such as "position: 1-4".')
@@ -127,6 +127,15 @@ def _converted(name: str, value: Any, where: str) -> Any:
     if name == 'period' and value is not None:
         return _positive(name, value, where)
     return _number(name, value, where)
+
+
+def _names(what: str, value: object, where: str) -> tuple[str, ...]:
+    """Distinct names from a list, or from 'NAME,NAME' with or without blanks; anything else raises SemiparamError."""
+    parts = value.split(',') if isinstance(value, str) else [] if value is None else value
+    names = tuple(str(part).strip() for part in parts) if isinstance(parts, list | tuple) else ('',)
+    if '' in names or len(set(names)) < len(names):
+        raise SemiparamError(f'{where}: {what} is {value!r}; expected distinct names such as shoulder,elbow.')
+    return names
 
 
 def effort_factors(value: object, where: str) -> dict[str, float]:

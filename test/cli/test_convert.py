@@ -134,6 +134,13 @@ def test_options_win_over_the_columns_file(tmp_path):
     assert [state.log_time for state in states] == [2_000_000_000, 2_500_000_000, 3_000_000_000]
 
 
+def test_names_of_joints_have_no_blanks_about_them(tmp_path):
+    """' knee' came into the recording, and no command found the joint."""
+    bag = tmp_path / 'out.mcap'
+    assert convert(table(tmp_path, '1 2 3 4\n'), bag, '--joints', 'hip, knee', *TWO_JOINTS[2:]) == 0
+    assert messages(bag, '/joint_states')[0].data.name == ['hip', 'knee']
+
+
 def quantities(count=50):
     """Time, positions and currents of two joints, each as its own array."""
     time = 100.0 + 0.01 * np.arange(count)
@@ -256,6 +263,10 @@ def test_a_bad_table_ends_in_one_sentence_and_leaves_no_file(case, tmp_path, cap
     ('columns: 3\n', "columns is 3; expected a mapping"),
     ('degrees: maybe\n', "degrees is 'maybe'; expected true or false"),
     ('columns: {positon: 1}\njoints: [a]\n', "column role 'positon' is unknown"),
+    ('joints: 7\n', 'joints is 7; expected distinct names'),
+    ('joints: [a, a]\n', "joints is ['a', 'a']; expected distinct names"),
+    ('temperatures: {a: 1}\n', "temperatures is {'a': 1}; expected distinct names"),
+    ('joints: "a,,b"\n', "joints is 'a,,b'; expected distinct names"),
 ])
 def test_a_bad_columns_file_ends_in_one_sentence(text, sentence, tmp_path, capsys):
     columns = tmp_path / 'columns.yaml'
