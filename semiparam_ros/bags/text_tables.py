@@ -269,7 +269,7 @@ def read_rows(path: str | os.PathLike[str], layout: TableLayout,
     first = next(numbers, None)
     if first is None:
         return
-    header = [] if all(map(_is_number, filter(None, first[1]))) else first[1]
+    header = first[1] if arrays or not all(map(_is_number, filter(None, first[1]))) else []
     layout = layout.spread(header)
     unknown = [column for columns in layout.columns.values() for column in columns
                if isinstance(column, str) and column not in header]

@@ -189,6 +189,15 @@ def test_single_columns_of_an_array_and_factors_for_a_bag(tmp_path, capsys):
                                    '--position', *options)
 
 
+def test_arrays_may_have_numbers_for_names(tmp_path):
+    """Of a folder with 1.csv and 2.csv the names became the first sample."""
+    first, second = quantities()['q'].T
+    path, bag = saved_arrays(tmp_path, {'1': first, '2': second}, 'folder'), tmp_path / 'out.mcap'
+    assert convert(path, bag, '--joints', 'hip,knee', '--rate', '100', '--position', '2,1') == 0
+    np.testing.assert_array_equal([state.data.position for state in messages(bag, '/joint_states')],
+                                  np.column_stack([second, first]))
+
+
 @pytest.mark.parametrize('form', ['npz', 'mat', 'folder'])
 def test_ranges_of_an_array_and_rows_that_do_not_match(form, tmp_path, capsys):
     within = 'log.' if form == 'mat' else ''
