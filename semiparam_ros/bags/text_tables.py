@@ -319,8 +319,8 @@ def _stamp(layout: TableLayout, cell: str | None, number: int, where: str) -> in
         # Multiplied, not added up: rounding must not pile up over a long recording.
         time = (Decimal(str(layout.start)) + number * Decimal(str(layout.period))) * NANOSECONDS
     else:
-        _float(cell, 'time', where)
-        time = Decimal(cell) * TIME_UNITS[layout.time_unit]
+        nearly = _float(cell, 'time', where)
+        time = Decimal(cell) * TIME_UNITS[layout.time_unit] if math.isfinite(nearly) else Decimal(nearly)
     if not (time.is_finite() and 0 <= time < _LATEST_STAMP):
         raise SemiparamError(f'{where} has the time {time / NANOSECONDS:f} s; expected 0 to '
                              f'{_LATEST_STAMP // NANOSECONDS} s.')
