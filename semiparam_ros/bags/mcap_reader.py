@@ -158,4 +158,4 @@ def _topics(index: Index, read: Mapping[int, str]) -> dict[str, TopicInfo]:
 
 def is_mcap(path: Path, magic: bytes) -> bool:
     """Tell whether a file is MCAP by its first bytes, or by its name where those are damaged."""
-    return magic.startswith(MAGIC) or '.mcap' in path.name
+    return magic.startswith(MAGIC) or path.name.endswith(('.mcap', '.mcap.partial'))

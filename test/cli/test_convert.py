@@ -134,6 +134,12 @@ def test_options_win_over_the_columns_file(tmp_path):
     assert [state.log_time for state in states] == [2_000_000_000, 2_500_000_000, 3_000_000_000]
 
 
+def test_a_table_that_was_made_of_a_bag_may_have_its_name(tmp_path):
+    """run.mcap.csv was taken for a bag."""
+    path = table(tmp_path, '1 2 3 4\n').rename(tmp_path / 'run.mcap.csv')
+    assert convert(path, tmp_path / 'out.mcap', *TWO_JOINTS) == 0
+
+
 def test_names_of_joints_have_no_blanks_about_them(tmp_path):
     """' knee' came into the recording, and no command found the joint."""
     bag = tmp_path / 'out.mcap'
