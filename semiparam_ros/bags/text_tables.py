@@ -187,6 +187,8 @@ def _complaints(layout: TableLayout) -> Iterator[str]:
     for name in layout.effort_factors:
         if name not in layout.joints:
             yield f'effort_factors names {name!r}; expected some of the joints {", ".join(layout.joints)}.'
+    if layout.effort_factors and 'effort' not in roles:
+        yield 'effort_factors needs efforts: expected --effort COLUMNS or "effort:" under "columns:".'
     if 'time' not in roles and layout.period is None:
         yield 'rows have no time: expected --time COLUMN, --rate HZ or --period SECONDS.'
     if layout.time_unit not in TIME_UNITS:

@@ -26,6 +26,10 @@ HELP = 'Convert a table (text, .npz, .mat) or a bag (ROS 1, rosbag2, damaged MCA
 
 _TABLE_OPTIONS = ('joints', 'temperatures', 'degrees', 'period', 'rate', 'start', 'time_unit')
 _BOTH_OPTIONS = ('wrench_frame', 'wrench_sign', 'effort_sign', 'effort_factors')
+_WITHOUT_TIME = ('rate', 'period', 'start')
+_OF_ROLE = {'time_unit': 'time', 'temperatures': 'temperature', 'effort_sign': 'effort', 'wrench_sign': 'force',
+            'wrench_frame': 'force'}
+"""Options that say nothing without columns of a role."""
 _ROLES = ('time', *PER_JOINT, 'force', 'torque', 'temperature')
 
 
@@ -111,7 +115,14 @@ def table_layout(args: argparse.Namespace) -> TableLayout:
     values = {name: getattr(args, name) for name in (*_TABLE_OPTIONS, *_BOTH_OPTIONS)
               if getattr(args, name) is not None}
     values['columns'] = {role: getattr(args, role) for role in _ROLES if getattr(args, role) is not None}
-    return layout.merged(values, 'command line')
+    merged = layout.merged(values, 'command line')
+    for name in _WITHOUT_TIME:
+        if name in values and 'time' in merged.columns:
+            raise SemiparamError(f'--{name} is for tables without a column of the time; that of this one is named.')
+    for name, role in _OF_ROLE.items():
+        if name in values and role not in merged.columns:
+            raise SemiparamError(f'--{name.replace("_", "-")} needs columns of the {role}; expected --{role} COLUMNS.')
+    return merged
 
 
 def _from_bag(args: argparse.Namespace, description: str | None) -> list[str]:

@@ -261,6 +261,12 @@ BAD_TABLES = {
     'time before 1970': ('1 2 3 4 -1\n', (*TWO_JOINTS[:-2], '--time', '5'), 'line 1 has the time -1 s'),
     'time beyond all': ('1 2 3 4 1e9999999\n', (*TWO_JOINTS[:-2], '--time', '5'), 'line 1 has the time Infinity s'),
     'time is nan': ('1 2 3 4 nan\n', (*TWO_JOINTS[:-2], '--time', '5'), 'line 1 has the time NaN s'),
+    'rate beside a time': ('1 2 3 4 5\n', (*TWO_JOINTS, '--time', '5'), '--rate is for tables without'),
+    'unit of no time': ('1 2 3 4\n', (*TWO_JOINTS, '--time-unit', 'ms'), '--time-unit needs columns'),
+    'temperatures nowhere': ('1 2 3 4\n', (*TWO_JOINTS, '--temperatures', 'hip'), '--temperatures needs columns'),
+    'sign of no wrench': ('1 2 3 4\n', (*TWO_JOINTS, '--wrench-sign', '-1'), '--wrench-sign needs columns'),
+    'sign of no effort': ('1 2 3 4\n', (*TWO_JOINTS, '--effort-sign', '-1'), '--effort-sign needs columns'),
+    'factors of no effort': ('1 2 3 4\n', (*TWO_JOINTS, '--effort-factors', 'hip=2'), 'effort_factors needs efforts'),
     'option for bags': ('1 2 3 4\n', (*TWO_JOINTS, '--topic', '/a'), '--topic is for bags'),
 }
 
