@@ -114,13 +114,23 @@ def convert_bag(source: BagReader, edits: Edits, bag: BagWriter, robot_descripti
         if message.topic in copied:
             bag.write_raw(topic, message.raw, message.log_time, message.publish_time)
         else:
-            if message.type == _JOINT_STATE:
-                joints.update(message.data.name)
-            bag.write(topic, message.type, edits.apply(message), message.log_time, message.publish_time)
+            bag.write(topic, message.type, _edited(source, edits, message, joints), message.log_time,
+                      message.publish_time)
         if number % 1000 == 0:
             progress(number)
     edits.check_joints(str(source.path), sorted(joints))
     return counts
+
+
+def _edited(source: BagReader, edits: Edits, message: Message, joints: set[str]) -> object:
+    """The changed data of a message; ``joints`` receives the names that a joint state had."""
+    try:
+        if message.type == _JOINT_STATE:
+            joints.update(message.data.name)
+        return edits.apply(message)
+    except (AttributeError, TypeError) as error:
+        raise SemiparamError(f'{str(source.path)!r}: the bag defines {message.type} in a way of its own, without what '
+                             f'is to change in it ({error}).') from error
 
 
 def read_description(path: str | os.PathLike[str]) -> str:

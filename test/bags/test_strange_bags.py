@@ -77,6 +77,15 @@ def test_what_cannot_be_decoded_is_one_sentence(tmp_path, states, sentence):
         load_samples(strange(tmp_path, **states), SETTINGS)
 
 
+def test_convert_changes_nothing_in_a_definition_of_ones_own(tmp_path, capsys):
+    """As internal error: 'JointState' object has no attribute 'name'."""
+    path, out = strange(tmp_path, text=b'float64[] position\nfloat64 stamp'), tmp_path / 'b.mcap'
+    for option in ('--effort-sign=-1', '--stamps-from-log'):
+        assert main(['convert', str(path), str(out), option]) == 2
+        assert f'defines {STATE} in a way of its own' in capsys.readouterr().err
+    assert not out.exists() and main(['convert', str(path), str(out)]) == 0
+
+
 def test_convert_tells_what_it_leaves_out_and_takes_no_other_encoding_for_cdr(tmp_path, capsys):
     path, out = strange(tmp_path, encoding='json'), tmp_path / 'b.mcap'
     assert main(['convert', str(path), str(out)]) == 0
