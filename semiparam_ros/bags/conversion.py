@@ -50,7 +50,10 @@ class Edits:
         if self.stamps_from_log:
             data.header.stamp = stamp_fields(message.log_time)
         if message.type == _JOINT_STATE:
-            data.name = [renamed(name, self.joints) for name in data.name]
+            before, data.name = data.name, [renamed(name, self.joints) for name in data.name]
+            if len(set(data.name)) < len(set(before)):
+                raise SemiparamError(f'the joints {listed(before)} would become {listed(data.name)}; expected another '
+                                     'name for each.')
             factors = [self.effort_sign * self.effort_factors.get(name, 1.0) for name in data.name]
             data.effort = [factor * value for factor, value in zip(factors, data.effort, strict=False)]
         elif message.type == _TRAJECTORY:
@@ -71,7 +74,8 @@ class Edits:
         known = [renamed(name, self.joints) for name in names]
         for name in self.effort_factors:
             if name not in known:
-                raise SemiparamError(f'effort_factors names {name!r}; expected some of the joints {", ".join(known)}.')
+                raise SemiparamError(f'effort_factors names {name!r}; expected some of the joints in {path!r}: '
+                                     f'{listed(known)}.')
 
 
 def renamed(name: str, names: Mapping[str, str]) -> str:
