@@ -153,9 +153,12 @@ def effort_factors(value: object, where: str) -> dict[str, float]:
 
 def _number(name: str, value: Any, where: str) -> float:
     try:
-        return float(value)
+        number = float(value)
     except (TypeError, ValueError) as error:
         raise SemiparamError(f'{where}: {name} is {value!r}; expected a number.') from error
+    if not math.isfinite(number):
+        raise SemiparamError(f'{where}: {name} is {value!r}; expected a finite number.')
+    return number
 
 
 def _positive(name: str, value: object, where: str) -> float:

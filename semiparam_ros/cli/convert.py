@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -84,6 +85,9 @@ def _add_bag_arguments(group: Any) -> None:
 def run(args: argparse.Namespace) -> int:
     """Convert, and say on standard error what came out."""
     require_bag_name(args.output)
+    for sign in ('effort_sign', 'wrench_sign'):
+        if not math.isfinite(getattr(args, sign) or 0.0):
+            raise SemiparamError(f'--{sign.replace("_", "-")} is {getattr(args, sign)}; expected a finite number.')
     require_places(args.output, partial_path(args.output),
                    inputs=[args.input, args.columns, args.robot_description])
     description = read_description(args.robot_description) if args.robot_description else None
