@@ -75,7 +75,7 @@ def open_bag(path: str | os.PathLike[str]) -> BagReader:
     try:
         return _open_directory(path) if path.is_dir() else _open_file(path)
     except OSError as error:
-        raise SemiparamError(f'{str(path)!r} cannot be opened: {error.strerror or error}.') from error
+        raise SemiparamError(f'{str(error.filename or path)!r} cannot be opened: {error.strerror or error}.') from error
 
 
 def is_bag(path: Path) -> bool:
@@ -112,7 +112,7 @@ def _open_file(path: Path) -> BagReader:
 def _open_directory(path: Path) -> BagReader:
     """A rosbag2 directory: its MCAP files are read here, whatever else it holds is left to ``rosbags``."""
     description = _metadata(path)
-    files = [path / Path(name).name for name in description.get('relative_file_paths') or ()]
+    files = _listed_files(path, description.get('relative_file_paths'))
     packed = str(description.get('compression_mode') or 'none').lower() in ('file', 'message')
     if not files:
         # A recorder that was killed has not written its metadata.yaml.
@@ -130,6 +130,13 @@ def _metadata(path: Path) -> dict[str, Any]:
         return dict(yaml.safe_load((path / 'metadata.yaml').read_text())['rosbag2_bagfile_information'])
     except (OSError, UnicodeDecodeError, yaml.YAMLError, RecursionError, KeyError, TypeError, ValueError):
         return {}
+
+
+def _listed_files(path: Path, names: object) -> list[Path]:
+    """The files that metadata.yaml names, those of a folder alone; none where it is damaged there."""
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        return []
+    return [path / Path(name).name for name in names if Path(name).name and '\0' not in name]
 
 
 def is_sqlite(path: Path, magic: bytes) -> bool:

@@ -241,6 +241,22 @@ def test_a_database_without_its_metadata_is_read(tmp_path):
     assert len(texts(path, topics=['/chatter'])) == 20
 
 
+@pytest.mark.parametrize('names', ['[3]', '5', '[[a]]', '{bag.mcap: 1}', '["", "a\\0b"]'])
+def test_a_list_of_files_that_is_none_is_passed_over(names, tmp_path):
+    """As internal error: expected str, bytes or os.PathLike object, not int."""
+    path = rosbag2(tmp_path / 'bag', StoragePlugin.MCAP)
+    (path / 'metadata.yaml').write_text(f'rosbag2_bagfile_information:\n  relative_file_paths: {names}\n')
+    assert len(texts(path, topics=['/chatter'])) == 20
+
+
+def test_a_file_that_a_directory_lacks_is_named(tmp_path):
+    """The directory was, which is there."""
+    path = rosbag2(tmp_path / 'bag', StoragePlugin.MCAP)
+    (path / 'bag.mcap').unlink()
+    with pytest.raises(SemiparamError, match=r"bag/bag.mcap' cannot be opened: No such file"):
+        open_bag(path)
+
+
 def test_types_of_ros1_become_those_of_ros2(tmp_path):
     store = get_typestore(Stores.ROS1_NOETIC)
     with Rosbag1Writer(tmp_path / 'old.bag') as writer:
