@@ -24,8 +24,9 @@ def robot_description(settings: Table, given: str | None = None) -> str:
         path = resolved(settings.robot_description_file)
         try:
             return path.read_text(encoding='utf-8')
-        except (OSError, UnicodeDecodeError) as error:
-            reason = error.strerror if isinstance(error, OSError) else 'not UTF-8 text'
+        except (OSError, ValueError) as error:  # of no UTF-8, or of a null character in the name
+            reason = 'not UTF-8 text' if isinstance(error, UnicodeDecodeError) else \
+                getattr(error, 'strerror', None) or error
             raise SemiparamError(f'robot_description_file: cannot read {path}: {reason}.') from error
     text = settings.robot_description or given
     if not text:
@@ -65,10 +66,13 @@ def check_temperatures(settings: Table, joints: Sequence[str]) -> None:
 def resolved(name: str) -> Path:
     """A path from ``package://PACKAGE/PATH``, or from a plain one (with ~).
 
-    Raises SemiparamError for a package that is not installed.
+    Raises SemiparamError for a package that is not installed, and for the home of a user who does not exist.
     """
     if not name.startswith(PACKAGE_URI):
-        return Path(name).expanduser()
+        try:
+            return Path(name).expanduser()
+        except RuntimeError as error:
+            raise SemiparamError(f"'{name}' cannot be found: {error}") from error
     package, _, inside = name.removeprefix(PACKAGE_URI).partition('/')
     candidates = [folder / inside for folder in _share_folders(package)]
     if not candidates:

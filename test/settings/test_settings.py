@@ -215,8 +215,8 @@ def test_robot_description_is_looked_for_in_one_order(tmp_path):
     assert build_estimator(WRENCH, URDF).body.joints == ('a', 'b')
     path = write(tmp_path / 'arm.urdf', URDF)
     assert build_estimator(WRENCH.changed({'robot_description_file': str(path)}), 'ignored').body.n_joints == 2
-    for name in (str(tmp_path / 'none.urdf'), 'package://no_such_package/a.urdf'):
-        with pytest.raises(SemiparamError, match=r'none.urdf|no_such_package'):
+    for name in (str(tmp_path / 'none.urdf'), 'package://no_such_package/a.urdf', '~no_such_user/a.urdf', '/a\0b.urdf'):
+        with pytest.raises(SemiparamError, match=r'none.urdf|no_such_package|no_such_user|null'):
             build_estimator(WRENCH.changed({'robot_description_file': name}))
 
 
