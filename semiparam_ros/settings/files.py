@@ -98,10 +98,16 @@ def dump_params(settings: Settings, path: str | Path, node: str = 'estimator',
 
     Relative paths, which count from a parameter file, name the same place from the new one.
     """
-    description, states = (os.path.relpath(place, Path(path).parent) if _is_relative(place) else place
+    folder = Path(path).parent.resolve()  # '..' of a link leads to where the linked folder is
+    description, states = (os.path.relpath(_physical(place), folder) if _is_relative(place) else place
                            for place in (settings.robot_description_file, settings.state_folder))
     settings = replace(settings, robot_description_file=description, state_folder=states)
     write_text(path, params_text(settings, node, remarks))
+
+
+def _physical(place: str) -> Path:
+    """A place by its folder's own path, without links; its name stays."""
+    return Path(place).parent.resolve() / Path(place).name
 
 
 def params_text(settings: Settings | None, node: str = 'estimator',

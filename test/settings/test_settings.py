@@ -284,6 +284,22 @@ def test_a_file_written_elsewhere_names_the_same_places(tmp_path, monkeypatch):
         assert Path(found.state_folder).resolve() == tmp_path / 'own/states'
 
 
+def test_a_file_written_into_a_linked_folder_names_the_same_places(tmp_path, monkeypatch):
+    """A ``..`` was counted from the link, and read from the folder that it leads to."""
+    for folder in ('home/own', 'disk/of/data'):
+        (tmp_path / folder).mkdir(parents=True)
+    (tmp_path / 'home/data').symlink_to(tmp_path / 'disk/of/data')
+    (tmp_path / 'home/own/arm.urdf').write_text('<robot/>')
+    write(tmp_path / 'home/own/p.yaml',
+          '/**: {ros__parameters: {robot_description_file: arm.urdf, state_folder: states}}')
+    monkeypatch.chdir(tmp_path / 'home')
+    dump_params(load_params('own/p.yaml'), 'data/p.yaml')
+    monkeypatch.chdir('/')
+    found = load_params(tmp_path / 'home/data/p.yaml')
+    assert Path(found.robot_description_file).resolve() == tmp_path / 'home/own/arm.urdf'
+    assert Path(found.state_folder).resolve() == tmp_path / 'home/own/states'
+
+
 def test_a_state_folder_counts_from_the_file_that_gives_it(tmp_path):
     (tmp_path / 'a').mkdir()
     first, last = (write(tmp_path / name, f'/**: {{ros__parameters: {{state_folder: {folder}}}}}')
