@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import yaml
+from yaml.reader import ReaderError
 
 from semiparam_ros.errors import SemiparamError
 
@@ -23,5 +24,12 @@ def read_yaml(path: Path, what: str, loader: type[yaml.SafeLoader] = yaml.SafeLo
     except (yaml.YAMLError, UnicodeDecodeError) as error:
         mark = getattr(error, 'problem_mark', None)
         line = f' in line {mark.line + 1}' if mark else ''
-        problem = getattr(error, 'problem', None) or 'not UTF-8 text'
-        raise SemiparamError(f'{what} {path} is not valid YAML{line}: {problem}.') from error
+        raise SemiparamError(f'{what} {path} is not valid YAML{line}: {_problem(error)}.') from error
+
+
+def _problem(error: yaml.YAMLError | UnicodeDecodeError) -> str:
+    if isinstance(error, UnicodeDecodeError):
+        return 'not UTF-8 text'
+    if isinstance(error, ReaderError):
+        return f'it holds the character {chr(error.character)!r}'
+    return str(getattr(error, 'problem', None) or error)

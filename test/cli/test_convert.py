@@ -282,6 +282,7 @@ def test_a_bad_table_ends_in_one_sentence_and_leaves_no_file(case, tmp_path, cap
     ('joints: [a]\nperoid: 1\n', "'peroid' is unknown; did you mean 'period'?"),
     ('- 1\n', 'holds no columns'),
     ('joints: [a\n', 'is not valid YAML'),
+    ('joints: [a\x07]\n', "is not valid YAML: it holds the character '\\x07'."),
     ('columns: 3\n', "columns is 3; expected a mapping"),
     ('degrees: maybe\n', "degrees is 'maybe'; expected true or false"),
     ('columns: {positon: 1}\njoints: [a]\n', "column role 'positon' is unknown"),
