@@ -118,10 +118,11 @@ def sample_stream(settings: Table, joints: tuple[str, ...], measured: bool,
 
 
 def recorded_description(bag: BagReader) -> str | None:
-    """The last robot description of a bag, None where there is none."""
+    """The last robot description of a bag, None where there is none, or the topic holds no texts."""
     text = None
     for message in bag.messages([layout.ROBOT_DESCRIPTION]):
-        text = getattr(message.data, 'data', None) or text
+        found = getattr(message.data, 'data', None)
+        text = found if isinstance(found, str) and found else text
     return text
 
 

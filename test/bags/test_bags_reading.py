@@ -14,7 +14,7 @@ from rosbags.rosbag2 import Writer as Rosbag2Writer
 from rosbags.rosbag2.enums import CompressionFormat, CompressionMode
 from rosbags.typesys import Stores, get_typestore
 
-from semiparam_ros.bags.loading import load_samples
+from semiparam_ros.bags.loading import load_samples, recorded_description
 from semiparam_ros.bags.qos import LATCHED, Qos, agreed, dump_profiles, parse_profiles
 from semiparam_ros.bags.reader import MergedBag, open_bag
 from semiparam_ros.bags.writer import BagWriter
@@ -390,6 +390,15 @@ def test_a_recording_without_what_is_needed_is_refused(changes, sentence, tmp_pa
     path = robot_bag(tmp_path / 'bag.mcap')
     with pytest.raises(SemiparamError, match=sentence):
         load_samples(path, Settings(**{'joints': ('a', 'b'), 'sensor_frame': 'ft', **changes}))
+
+
+def test_a_robot_description_that_is_no_text_is_none(tmp_path):
+    """As internal error: object of type 'int' has no len()."""
+    path = tmp_path / 'a.mcap'
+    with BagWriter(path) as bag:
+        bag.write('/robot_description', 'std_msgs/msg/Int32', {'data': 5}, 0)
+    with open_bag(path) as bag:
+        assert recorded_description(bag) is None
 
 
 def test_a_topic_of_the_wrong_type_is_refused(tmp_path):
