@@ -22,6 +22,11 @@ OF_BAGS = {'bags': 'BAG', 'params': '--params', 'judge': '--judge', 'inside': '-
            'output': '--output', 'html': '--html', 'variants': '--variants'}
 """Options that a diagnosis of recordings has and the scoreboard has not, by their names in the arguments."""
 
+SCOREBOARD = {'outputs': 'wrench', 'sizes': [0.5, 1.0, 2.0], 'seeds': 10, 'first_seed': 0, 'samples': 4000,
+              'estimate_accelerations': False}
+"""Options that the scoreboard has and a diagnosis of recordings has not, by their names in the arguments, with what
+they are when not given."""
+
 HELP = 'Find what the model lacks in a recording, name the effect, add it, and show the error before and after.'
 
 
@@ -50,17 +55,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     scoreboard = parser.add_argument_group('scoreboard')
     scoreboard.add_argument('--benchmark', action='store_true',
                             help='diagnose simulated recordings with known hidden effects instead of a bag')
-    scoreboard.add_argument('--outputs', choices=('wrench', 'effort'), default='wrench',
+    scoreboard.add_argument('--outputs', choices=('wrench', 'effort'),
                             help='what is simulated (default: wrench)')
-    scoreboard.add_argument('--sizes', metavar='S', type=float, nargs='+', default=[0.5, 1.0, 2.0],
+    scoreboard.add_argument('--sizes', metavar='S', type=float, nargs='+',
                             help='sizes of the hidden effects, as of semiparam simulate (default: 0.5 1 2)')
-    scoreboard.add_argument('--seeds', metavar='N', type=int, default=10,
+    scoreboard.add_argument('--seeds', metavar='N', type=int,
                             help='recordings of each kind and size (default: 10)')
-    scoreboard.add_argument('--first-seed', metavar='N', type=int, default=0,
+    scoreboard.add_argument('--first-seed', metavar='N', type=int,
                             help='seed of the first of them (default: 0)')
-    scoreboard.add_argument('--samples', metavar='N', type=int, default=4000,
+    scoreboard.add_argument('--samples', metavar='N', type=int,
                             help='length of each recording (default: 4000)')
     scoreboard.add_argument('--estimate-accelerations', action='store_true', help='record no accelerations')
+    parser.set_defaults(**SCOREBOARD)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -77,6 +83,9 @@ def run(args: argparse.Namespace) -> int:
         return _benchmark(args)
     if not args.bags:
         raise SemiparamError('diagnose needs a BAG, or --benchmark.')
+    for name, default in SCOREBOARD.items():
+        if getattr(args, name) != default:
+            raise SemiparamError(f'--{name.replace("_", "-")} is for --benchmark, which is missing.')
     from semiparam_ros.cli.evaluate import chosen_variants
     from semiparam_ros.settings import load_params
 

@@ -81,6 +81,9 @@ def test_a_lone_name_gets_the_overview(capsys):
     *[(f'diagnose --benchmark {words}', f'simulates; expected no {words.split()[0]} beside it')
       for words in ('--params arm.yaml', '--output found.yaml', '--html page.html', '--judge a.mcap', '--split 0.0',
                     '--in a.mcap payload@hand', '--variants P')],
+    *[(f'diagnose a.mcap {words}', f'{words.split()[0]} is for --benchmark, which is missing')
+      for words in ('--outputs effort', '--sizes 1', '--seeds 3', '--first-seed 1', '--samples 50',
+                    '--estimate-accelerations')],
     ('diagnose --benchmark a.mcap', 'simulates; expected no BAG beside it'),
     ('diagnose a.mcap -o b.txt --html ./b.txt', 'b.txt is named for two results'),
     ('diagnose a.mcap --params arm.yaml --json arm.yaml', 'arm.yaml is read, too; expected another name'),
