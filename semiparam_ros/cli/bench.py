@@ -28,7 +28,7 @@ FRAME = 'r_arm_ft_sensor'
 BUNDLED, PARAMS = 'package://semiparam_ros/bags/icub_xy.mcap', 'package://semiparam_ros/config/icub_right_arm.yaml'
 RATIOS = {'SPK / (dsymv + dsyr)': 'of_covariance', 'SPK / Potter': 'of_potter', 'dense / SPK': 'dense_over_ours',
           'dense, in one pass / SPK': 'dense_together_over_ours'}
-SAMPLES, BATCH, WARM_UP = 1000, 50, 3
+ROUNDS, SAMPLES, BATCH, WARM_UP = 15, 1000, 50, 3
 OURS, COVARIANCE, POTTER, DENSE, TOGETHER = 'SPK', 'dsymv + dsyr', 'Potter', 'dense', 'dense, in one pass'
 MEANING = {
     OURS: 'prediction with its standard deviation, 25-step horizon error and update, whole estimator',
@@ -59,8 +59,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `semiparam bench`."""
     parser.add_argument('--features', metavar='D', type=int, nargs='+',
                         help='numbers of random features (default 200 500 1000; with --peers one number, 200)')
-    parser.add_argument('--rounds', metavar='N', type=int, default=15,
-                        help='rounds in which the contenders take turns (default 15)')
+    parser.add_argument('--rounds', metavar='N', type=int, default=ROUNDS,
+                        help=f'rounds in which the contenders take turns (default {ROUNDS})')
     parser.add_argument('--urdf', metavar='FILE', type=Path, help='another arm than the bundled iCub arm')
     parser.add_argument('--frame', metavar='NAME', default=FRAME, help=f'its sensor frame (default {FRAME})')
     options.add_json_option(parser)
@@ -83,6 +83,11 @@ def run(args: argparse.Namespace) -> int:
         raise SemiparamError('expected at least one round, and even numbers of features from 2 on.')
     if args.variants and not args.peers:
         raise SemiparamError('--variant chooses among those of --peers, which is missing.')
+    if args.params and not args.peers:
+        raise SemiparamError('--params configures the variants of --peers, which is missing.')
+    for option, default in (('urdf', None), ('frame', FRAME), ('rounds', ROUNDS)) if args.peers else ():
+        if getattr(args, option) != default:
+            raise SemiparamError(f'--{option} is for times beside other recursions; expected none with --peers.')
     return beside_peers(args) if args.peers else timing(args)
 
 

@@ -109,12 +109,7 @@ def run(args: argparse.Namespace) -> int:
     settings = replace(load_params(args.params), diagnosis_auto=args.auto)
     variants = chosen_variants(args.variants, settings)
     waits = takeovers(args.takeover_after)
-    if args.frozen and not args.train:
-        raise SemiparamError('--frozen predicts with what was learnt from --train BAG, which is missing.')
-    if args.external_wrench and len(variants) > 1:
-        raise SemiparamError(f'--external-wrench tells what one variant leaves; {len(variants)} are evaluated.')
-    if args.auto != 'off' and len(variants) > 1:
-        raise SemiparamError(f'--auto {args.auto} tells what changes for one variant; {len(variants)} are evaluated.')
+    check_options(args, len(variants))
     rows: list[str] | None = [] if args.external_wrench else None
     changes: dict[int, ChangeRecord] | None = None if args.auto == 'off' else {}
     training, bags = (load_bags(paths, settings, with_tools=True) for paths in (args.train, args.bags))
@@ -137,6 +132,18 @@ def run(args: argparse.Namespace) -> int:
     if rows is not None:
         write_text(args.external_wrench, '\n'.join([WRENCH_HEADER, *rows]) + '\n')
     return 0
+
+
+def check_options(args: argparse.Namespace, variants: int) -> None:
+    """Raise SemiparamError where an option needs another one, or is for fewer ``variants``."""
+    if args.frozen and not args.train:
+        raise SemiparamError('--frozen predicts with what was learnt from --train BAG, which is missing.')
+    if args.series and not args.json:
+        raise SemiparamError('--series adds to what goes to --json FILE, which is missing.')
+    if args.external_wrench and variants > 1:
+        raise SemiparamError(f'--external-wrench tells what one variant leaves; {variants} are evaluated.')
+    if args.auto != 'off' and variants > 1:
+        raise SemiparamError(f'--auto {args.auto} tells what changes for one variant; {variants} are evaluated.')
 
 
 def takeovers(text: str) -> list[int]:

@@ -72,6 +72,7 @@ def test_a_lone_name_gets_the_overview(capsys):
     ('replay a.mcap --json nowhere/b.json', 'cannot write nowhere/b.json'),
     ('evaluate a.mcap --json nowhere/b.json', 'cannot write nowhere/b.json'),
     ('evaluate a.mcap --plot nowhere/b.png', 'cannot write nowhere/b.png'),
+    ('evaluate a.mcap --params arm.yaml --series', '--series adds to what goes to --json FILE, which is missing'),
     ('fit a.mcap', 'required: --output/-o'),
     ('compare a.mcap', 'required: TEST'),
     ('diagnose a.mcap --params arm.yaml --variants XX', "variant 'XX' is unknown"),
@@ -101,6 +102,9 @@ def test_a_lone_name_gets_the_overview(capsys):
     ('convert a.mcap b.mcap --joint r_*=joint', 'would become joint, joint, joint, joint; expected another name for'),
     ('convert a.mcap b.mcap --robot-description arm.yaml', "'arm.yaml': the robot description is not valid XML"),
     ('bench --variant P', '--peers, which is missing'),
+    ('bench --params arm.yaml', '--params configures the variants of --peers, which is missing'),
+    *[(f'bench --peers a.mcap {words}', f'{words.split()[0]} is for times beside other recursions')
+      for words in ('--urdf a.urdf', '--frame hand', '--rounds 2')],
     ('bench --json nowhere/b.json', 'cannot write nowhere/b.json'),
     ('bench --peers a.mcap --json a.mcap', 'a.mcap is read, too; expected another name'),
     ('bench --peers a.mcap --params arm.yaml --json arm.yaml', 'arm.yaml is read, too; expected another name'),
