@@ -16,7 +16,7 @@ import sys
 import traceback
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from semiparam_ros import __version__
 from semiparam_ros.errors import SemiparamError
@@ -105,10 +105,21 @@ def _dispatch(argv: list[str], ros_arguments: list[str], prog: str) -> int:
 
 
 class _Parser(argparse.ArgumentParser):
-    """Parser that tells a mistake in one sentence, without the usage of thirty options."""
+    """Parser that tells a mistake in one sentence, without the usage of thirty options, and takes no empty text for
+    the name of a file: ``Path('')`` is the working folder."""
+
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        super().__init__(*arguments, **options)
+        self.register('type', Path, _path)
 
     def error(self, message: str) -> NoReturn:
         self.exit(BAD_INPUT, f'{self.prog}: {message}; {self.prog} --help explains.\n')
+
+
+def _path(text: str) -> Path:
+    if not text:
+        raise argparse.ArgumentTypeError('the name is empty')
+    return Path(text)
 
 
 def _overview() -> argparse.ArgumentParser:

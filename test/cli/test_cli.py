@@ -122,6 +122,19 @@ def test_a_wrong_call_ends_at_once_in_one_sentence_and_leaves_nothing(arguments,
     assert sorted(tmp_path.iterdir()) == before
 
 
+@pytest.mark.parametrize(('arguments', 'words'), [
+    (['evaluate', ''], 'argument BAG: the name is empty'),
+    (['diagnose', 'a.mcap', '--params', ''], 'argument --params: the name is empty'),
+    (['convert', '', 'b.mcap'], 'argument INPUT: the name is empty'),
+    (['simulate', ''], 'argument OUT.mcap: the name is empty')])
+def test_an_empty_name_is_not_the_working_folder(arguments, words, tmp_path, monkeypatch, capsys):
+    """As of a variable of the shell that is not set: whatever bag lay in the working folder was evaluated."""
+    monkeypatch.chdir(tmp_path)
+    write_arm(tmp_path / 'a.mcap', 20)
+    assert cli.main(arguments) == 2
+    assert words in capsys.readouterr().err and [path.name for path in tmp_path.iterdir()] == ['a.mcap']
+
+
 def test_overview_needs_no_heavy_import():
     code = ('import sys; from semiparam_ros.cli.main import main; main(["--help"]); '
             'print({"numpy", "pinocchio", "rclpy"} & set(sys.modules))')
