@@ -25,6 +25,9 @@ from semiparam_ros.interrupts import remember_interrupts
 COMMANDS = ('run', 'replay', 'evaluate', 'fit', 'compare', 'diagnose', 'export', 'simulate', 'convert',
             'bench', 'record')
 
+NODES = ('run', 'replay', 'record')
+"""Commands that start a node, for which arguments of ROS are."""
+
 DISTRIBUTIONS = {'mcap': 'mcap-ros2-support', 'mcap_ros2': 'mcap-ros2-support', 'pinocchio': 'pin',
                  'sklearn': 'scikit-learn', 'yaml': 'pyyaml'}
 """Distributions to install for modules that have another name."""
@@ -97,6 +100,9 @@ def _dispatch(argv: list[str], ros_arguments: list[str], prog: str) -> int:
         overview.print_help(sys.stderr)
         return BAD_INPUT
     chosen = overview.parse_args(argv)
+    if ros_arguments and chosen.command not in NODES:
+        raise SemiparamError(f'{chosen.command} starts no node; expected --ros-args with {", ".join(NODES)} alone, and '
+                             'a parameter file as --params FILE.')
     module = importlib.import_module(f'semiparam_ros.cli.{chosen.command}')
     name = f'{prog} {chosen.command}' if prog == 'semiparam' else prog
     parser = _Parser(prog=name, description=module.HELP)

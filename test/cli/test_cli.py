@@ -73,6 +73,7 @@ def test_a_lone_name_gets_the_overview(capsys):
     ('evaluate a.mcap --json nowhere/b.json', 'cannot write nowhere/b.json'),
     ('evaluate a.mcap --plot nowhere/b.png', 'cannot write nowhere/b.png'),
     ('evaluate a.mcap --params arm.yaml --series', '--series adds to what goes to --json FILE, which is missing'),
+    ('evaluate a.mcap --ros-args -p variant:=P', 'evaluate starts no node; expected --ros-args with run,'),
     ('fit a.mcap', 'required: --output/-o'),
     ('compare a.mcap', 'required: TEST'),
     ('diagnose a.mcap --params arm.yaml --variants XX', "variant 'XX' is unknown"),
@@ -208,8 +209,9 @@ def test_ros_arguments_are_set_apart(argv, ours, theirs):
     assert cli.split_ros_arguments(argv) == (ours, theirs)
 
 
-def test_ros_arguments_reach_the_command(command):
+def test_ros_arguments_reach_the_command(command, monkeypatch):
     seen = []
+    monkeypatch.setattr(cli, 'NODES', ('bench',))
     command(lambda args: seen.append(args.ros_args) or 0)
     assert cli.main(['bench', '--ros-args', '-r', '__ns:=/left']) == 0
     assert seen == [['--ros-args', '-r', '__ns:=/left']]
