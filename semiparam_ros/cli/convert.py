@@ -154,7 +154,8 @@ def _pairs(texts: Sequence[str], optional: bool = False) -> dict[str, str]:
         old, equals, new = (part.strip() for part in text.partition('='))
         if not old or bool(equals) is not bool(new) or not (new or optional):
             raise SemiparamError(f'{text!r} is no renaming; expected OLD=NEW.')
-        pairs[old] = new or old
+        if pairs.setdefault(old, new or old) != (new or old):
+            raise SemiparamError(f'{old!r} is to become {pairs[old]!r} and {new or old!r}; expected one name.')
     return pairs
 
 

@@ -96,6 +96,8 @@ def test_a_lone_name_gets_the_overview(capsys):
     ('simulate b.mcap --truth nowhere/b.json', 'cannot write nowhere/b.json'),
     ('convert a.mcap b.mcap --joint elbow=b', "no joint 'elbow' to rename; it has r_elbow"),
     ('convert a.mcap b.mcap --effort-factors elbow=2', "effort_factors names 'elbow'"),
+    ('convert a.mcap b.mcap --topic /wrench=/a --topic /wrench=/b', "'/wrench' is to become '/a' and '/b'"),
+    ('convert a.mcap b.mcap --joint r_elbow=a,r_elbow=b', "'r_elbow' is to become 'a' and 'b'; expected one name"),
     ('convert a.mcap b.mcap --effort-sign nan', '--effort-sign is nan; expected a finite number'),
     ('convert a.mcap b.mcap --effort-factors r_elbow=inf', "effort factor of r_elbow is 'inf'; expected a finite"),
     ('convert a.mcap b.mcap --effort-factors r_elbow=2 --topic /wrench', "some of the joints in 'a.mcap': none."),
