@@ -35,6 +35,7 @@ from semiparam_ros.online.learning import Learning, observe
 from semiparam_ros.online.model_jobs import Known, known_of, new_estimator
 from semiparam_ros.online.renewal import Renewal
 from semiparam_ros.settings.parameter_table import shown
+from semiparam_ros.settings.rules import broken_rule
 from semiparam_ros.settings.snapshot import Settings
 
 FORMAT, VERSION = 'semiparam_ros state', 31
@@ -281,7 +282,9 @@ def load(path: Path, settings: Settings, body: RigidBody) -> SavedState:
         difference = theirs.difference(Configuration(VERSION, body.joints, _as_saved(settings), probe(body)))
         if difference:
             raise SemiparamError(f'{path} {difference}')
-        settings = settings.changed({name: meta['settings'][name] for name in ADOPTED}, where=str(path))
+        ours, settings = settings, settings.changed({name: meta['settings'][name] for name in ADOPTED}, str(path))
+        if (sentence := broken_rule(settings)) is not None and broken_rule(ours) is None:  # no more could change
+            raise SemiparamError(f'{path} does not fit the parameters of this node: {sentence}')
         _require_finite(str(path), arrays)
         batch = batch_from(_group(arrays, 'history'), body.n_joints, body.n_outputs)
         bias = arrays['bias']

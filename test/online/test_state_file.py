@@ -423,6 +423,20 @@ def test_what_differs_is_told_and_nothing_else(tmp_path):
         assert str(caught.value) == f'{path} {expected}'
 
 
+def test_a_state_whose_variant_lacks_given_hyperparameters_is_refused(tmp_path):
+    """It was loaded, and from then on every change of a parameter was refused, also the end of a pause."""
+    path = tmp_path / 's.npz'
+    state_file.save(path, stage_of(SETTINGS, motion(70)).learner.state())
+    given = replace(SETTINGS, variant='P', hyperparameters_gamma=(1.0,), hyperparameters_sigma=(0.1,),
+                    hyperparameters_output_scale=(1.0,) * 6)
+    with pytest.raises(SemiparamError) as caught:
+        state_file.load(path, given, BODY)
+    assert str(caught.value) == (
+        f'{path} does not fit the parameters of this node: hyperparameters.rho is empty, but SPK-ML needs it once any '
+        'is given; expected all of them, or none to estimate them.')
+    assert state_file.load(path, SETTINGS, BODY).settings.variant == 'SPK-ML'
+
+
 def test_sizes_are_checked_before_anything_is_unpacked(tmp_path):
     path, arrays = tmp_path / 's.npz', state_file.snapshot(stage_of(SETTINGS, motion(70)).learner.state()).arrays()
     np.savez_compressed(path, **{**arrays, 'recursion.array': np.zeros((30_000, 1000))})
