@@ -4,6 +4,7 @@ import json
 import signal
 import subprocess
 import time
+from collections import deque
 from contextlib import contextmanager
 from dataclasses import replace
 from types import SimpleNamespace
@@ -249,6 +250,27 @@ def test_a_simulated_time_is_waited_for_and_what_came_before_it_has_its_beginnin
     with open_bag(out) as bag:
         assert bag.start_ns == 99 * 10**9 and bag.end_ns == 100 * 10**9
         assert {topic: info.count for topic, info in bag.topics.items()} == {'/robot_description': 1, '/wrench': 5}
+
+
+def test_what_arrives_while_it_is_written_does_not_end_a_recording_without_a_time_yet():
+    """Where many messages came before the simulated time, looking for it among them met others that arrived."""
+    node, written = SimpleNamespace(_arrived=deque(), complete=False, now=lambda: 9), []
+
+    def arrives(stamp):
+        node._arrived.append(('/wrench', b'', stamp))
+        return 9
+
+    def write(topic, raw, stamp):
+        arrives(5)
+        written.append(stamp)
+
+    for stamp in (0, 0, 3, 4, 0):
+        arrives(stamp)
+    node.now, node._write = lambda: arrives(5), write
+    RecordNode.write_arrived(node)
+    assert written == [3, 3, 3, 4, 9]
+    RecordNode.write_arrived(node)
+    assert set(written[5:]) == {5}
 
 
 def test_of_several_offers_the_one_is_recorded_that_every_subscriber_can_use(monkeypatch):

@@ -122,11 +122,14 @@ class RecordNode(AnsweringNode):
     def write_arrived(self) -> None:
         """Write what has arrived so far, before the simulated time as of its beginning; raises SemiparamError when the
         disk refuses it."""
-        for _ in range(len(self._arrived)):
+        later, dated = 0, list[tuple[str, bytes, int]]()  # taken out first: others arrive meanwhile
+        for topic, raw, stamp in reversed([self._arrived.popleft() for _ in range(len(self._arrived))]):
+            later = stamp or later
+            dated.append((topic, raw, later or self.now()))
+        for message in reversed(dated):
             if self.complete:
                 return
-            topic, raw, stamp = self._arrived.popleft()
-            self._write(topic, raw, stamp or next((later for *_, later in self._arrived if later), self.now()))
+            self._write(*message)
 
     def _write(self, topic: str, raw: bytes, stamp: int) -> None:
         if not self.counts[topic]:
