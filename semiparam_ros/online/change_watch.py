@@ -765,8 +765,8 @@ class ChangeWatch:
         self._record(record.change._replace(noticed=self._now, ended=ended))
 
     def _ask_again(self, number: int, seconds: float) -> None:
-        """Name a change anew after so much motion, unless that is due anyway."""
-        if all(other != number for _, other in self._due):
+        """Name a change anew after so much motion, unless that is due anyway, or the clock has jumped since."""
+        if number > self._past and all(other != number for _, other in self._due):
             self._due = sorted([*self._due, (self._moved_s + seconds, number)])
 
     def _refused(self, number: int, why: str) -> None:

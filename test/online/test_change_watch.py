@@ -20,6 +20,7 @@ from semiparam_ros.online.change_watch import (
     TAKEN_BACK,
     TRIED,
     ChangeRecord,
+    ChangeWatch,
     Decision,
     LearntChange,
 )
@@ -41,7 +42,7 @@ from support.changing_arm import (
 )
 from support.learner_stage import Stage
 from support.loaded_stage import begun
-from support.node_helpers import InlineBackground
+from support.node_helpers import BODY, InlineBackground
 
 pytestmark = pytest.mark.usefixtures('motion_as_recorded')
 
@@ -590,6 +591,20 @@ def test_a_change_from_before_a_jump_of_the_clock_is_not_named_from_what_comes_a
     stage.offer(replace(later, stamps=later.stamps - round(3600e9)))
     assert all(since < samples.stamps[0] for since in asked)
     assert not stage.learner.changes.records[number].unnamed
+
+
+@pytest.mark.parametrize('error', [SemiparamError('12 samples are too few.'), None])
+def test_what_is_being_named_when_the_clock_jumps_is_not_asked_again(error):
+    """Of a name that was refused, or of a change that was over meanwhile, more was to come: from another time."""
+    watch = ChangeWatch(BODY, InlineBackground(), lambda record: None, lambda place, failure: None)
+    over = None if error else 3 * 10**9
+    watch.records[1] = ChangeRecord(Change(1, 10**9, 2 * 10**9, 'payload', 'ft', 0.5, 0.1, 30.0, ('fz',), over))
+    named = None if error else SimpleNamespace(inputs=None)
+    watch._named(1, named, error, asked=None)
+    assert [number for _, number in watch._due] == [1]
+    watch.reset()
+    watch._named(1, named, error, asked=None)
+    assert not watch._due
 
 
 def test_a_change_from_before_a_state_was_loaded_is_not_named_from_what_comes_after():
