@@ -8,12 +8,15 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from rcl_interfaces.msg import SetParametersResult
+from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.logging import LoggingSeverity, get_logger
 
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online.checkpoint import Checkpoints
 from semiparam_ros.online.folder_lock import FolderLock
 from semiparam_ros.online.identified_parameters import Load, reported_load
+from semiparam_ros.ros.estimator import parameters
 from semiparam_ros.ros.estimator.autosave import Autosave
 from semiparam_ros.ros.estimator.changing import Changing
 from semiparam_ros.ros.estimator.diagnosing import Diagnosing, Running
@@ -29,6 +32,8 @@ from semiparam_ros.ros.estimator.diagnostics import (
     payload_sentence,
     stage_of,
 )
+from semiparam_ros.ros.estimator.node import EstimatorNode
+from semiparam_ros.ros.estimator.parameters import FORGOTTEN, OVERTAKEN, HeldReplies
 from semiparam_ros.ros.estimator.publishers import HorizonMessage, Outputs, inertia_message
 from semiparam_ros.ros.estimator.robot import Robot
 from semiparam_ros.ros.estimator.services import Services
@@ -283,6 +288,31 @@ def test_a_second_node_of_the_same_name_neither_saves_nor_exports_when_asked(tmp
     with pytest.raises(SemiparamError, match='another node of the name arm'):
         getattr(services, service)(replies.append)
     assert not replies and not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(('then', 'told'), [('change', OVERTAKEN), ('reset', FORGOTTEN)])
+def test_who_waits_for_a_model_that_is_built_no_more_is_told_so(then, told, monkeypatch):
+    """He heard that another model takes over, or that his is being built, though it had been given up."""
+    stage = Stage(replace(SETTINGS, variant='P', shadow_variants=('NP-ML',)))
+    stage.offer_and_build(motion(200))
+    sent, waits = [], []
+    monkeypatch.setattr(parameters, 'steady_timer', lambda node, seconds, call: waits.append(call))
+    service = SimpleNamespace(srv_name='/set_parameters_atomically', send_response=lambda reply, _: sent.append(reply))
+    node = SimpleNamespace(learner=stage.learner, _awaited='')
+    node._held_replies = HeldReplies(SimpleNamespace(services=[service], destroy_timer=lambda timer: None),
+                                     lambda: EstimatorNode._announcement(node))
+    stage.model_switched = node._held_replies.settle
+
+    def wish(variant):
+        reason = EstimatorNode._change(node, replace(SETTINGS, variant=variant, shadow_variants=('NP-ML',)))
+        service.send_response(SetParametersAtomically.Response(
+            result=SetParametersResult(successful=True, reason=reason)), None)
+
+    wish('SPK-ML')
+    assert not sent and len(waits) == 1
+    stage.learner.reset() if then == 'reset' else wish('NP-ML')
+    waits[-1]()
+    assert (sent[0].result.successful, sent[0].result.reason) == (True, told)
 
 
 def test_what_is_said_may_be_an_error_once_and_a_warning_later():

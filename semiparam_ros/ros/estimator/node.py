@@ -19,6 +19,7 @@ from semiparam_ros.errors import SemiparamError, shortened
 from semiparam_ros.online.change_watch import ChangeRecord
 from semiparam_ros.online.folder_lock import FolderLock
 from semiparam_ros.online.learner import Answer, Learner, LearnerListener
+from semiparam_ros.online.model_switcher import same_model
 from semiparam_ros.online.state_file import SavedState, folder_of
 from semiparam_ros.online.worker import ProcessBackground, Scheduler, Worker
 from semiparam_ros.ros.answering import AnsweringNode
@@ -263,6 +264,8 @@ class EstimatorNode(AnsweringNode, LearnerListener):
             self._schedule(self._guarded, DESCRIPTION, self._robot.retry)
             return ''
         before = self.learner.settings
+        if not same_model(before, settings):
+            self._held_replies.overtake()
         try:
             sentence = self.learner.change(settings)
         except Exception:

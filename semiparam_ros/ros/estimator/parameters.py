@@ -22,6 +22,10 @@ from semiparam_ros.settings.snapshot import Settings, is_foreign, nearest, refus
 PATIENCE_S = 1.0
 """Clients of parameters expect an answer soon; a model that takes longer is announced instead."""
 
+OVERTAKEN = 'another change of the model came before it was there.'
+FORGOTTEN = 'a reset or a loaded state came before it was there.'
+"""Of a model that is built no more."""
+
 NAMES = ('/set_parameters', '/set_parameters_atomically')
 Response: TypeAlias = SetParameters.Response | SetParametersAtomically.Response
 
@@ -60,6 +64,10 @@ class HeldReplies:
                     result.successful, result.reason = success, sentence
         self.release()
 
+    def overtake(self) -> None:
+        """Another model is asked for: the one that is waited for is built no more."""
+        self.settle(True, OVERTAKEN)
+
     def release(self) -> None:
         """Send what waits as it is."""
         held, self._held = self._held, []
@@ -84,7 +92,13 @@ class HeldReplies:
     def _hold(self, reply: DelayedReply) -> None:
         self.release()  # an earlier wish is overtaken by this one
         self._held.append(reply)
-        self._timer = steady_timer(self._node, PATIENCE_S, self.release)
+        self._timer = steady_timer(self._node, PATIENCE_S, self._expire)
+
+    def _expire(self) -> None:
+        if self._announcement():
+            self.release()
+        else:
+            self.settle(True, FORGOTTEN)
 
 
 def results_of(response: Response) -> Iterator[SetParametersResult]:
