@@ -42,6 +42,7 @@ from semiparam_ros.online.renewal import RecentWindow, Renewal, has_draft
 from semiparam_ros.online.state_file import SavedState
 from semiparam_ros.online.tare import Tare
 from semiparam_ros.online.worker import Background
+from semiparam_ros.settings.rules import hyperparameters_suffice
 from semiparam_ros.settings.snapshot import Settings
 
 MOST_WINDOWS = 1000
@@ -450,16 +451,19 @@ class Learner:
                           self._renewal.state(), self.changes.applied.state(), self.tools.texts)
 
     def _fall_back(self, error: Exception) -> None:
-        """The active model is broken: go on with the last checkpoint, else with P and no effects."""
+        """The active model is broken: go on with the last checkpoint, else with P and no effects; where hyperparameters
+        were given that P does not suffice with, without effects alone."""
         broken, saved = self.built.variant, self._newest_checkpoint()
         if saved is not None:
             self.restore(saved)
             instead = f'{self.built.variant} of the last checkpoint goes on'
         else:
-            self.settings = replace(self.settings, variant='P', effects=(), shadow_variants=())
+            plain = replace(self.settings, effects=(), shadow_variants=())
+            simplest = replace(plain, variant='P')
+            self.settings = simplest if hyperparameters_suffice(simplest) is None else plain
             estimator = model_jobs.new_estimator(self.settings, self.body, origin=self.history.origin)
             self._begin(self.settings, estimator)
-            instead = 'P begins anew'
+            instead = f'{self.built.variant} begins anew'
         self._listener.settings_reverted(self.settings)
         self._listener.model_switched(False, f'{broken} is broken ({sentence_of(error)}); {instead}.')
 

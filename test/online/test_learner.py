@@ -32,6 +32,7 @@ from semiparam_ros.online.tare import Tare
 from semiparam_ros.online.worker import ProcessBackground, Urgency, _spawned_worker
 from semiparam_ros.ros.estimator.subscriptions import ClockWatch
 from semiparam_ros.settings.build import build_estimator, build_rigid_body, model_options
+from semiparam_ros.settings.rules import broken_rule
 from support.learner_stage import Stage
 from support.node_helpers import BODY, PERIOD_NS, SETTINGS, URDF, InlineBackground, at_period, motion
 
@@ -356,6 +357,22 @@ def test_a_broken_model_is_replaced_by_p(how):
     unanswered = 0 if how == 'not finite' else 2
     assert len(stage.answers) == 250 - unanswered == 250 - stage.learner.lost
     assert stage.learner.estimator.ready and np.isfinite(stage.means).all()
+
+
+def test_a_broken_model_of_given_hyperparameters_that_p_lacks_begins_anew():
+    """P could not be built of them, and no further sample was answered."""
+    given = replace(SETTINGS, variant='NP-ML', effects=('sensor_drift',), hyperparameters_rho=(1.0,),
+                    hyperparameters_tau=(1.0,) * 3, hyperparameters_sigma=(0.1,),
+                    hyperparameters_output_scale=(1.0,) * 6, hyperparameters_input_mean=(0.0,) * 6,
+                    hyperparameters_input_scale=(1.0,) * 6)
+    samples, stage = motion(60), Stage(given, InlineBackground())
+    stage.offer(samples[:30])
+    break_down(stage.learner.estimator, 'not finite')
+    stage.offer(samples[30:])
+    assert len(stage.answers) == 60 and np.isfinite(stage.means).all()
+    assert stage.reverted == [replace(given, effects=())] and stage.learner.settings == stage.learner.built
+    assert stage.news[-1].startswith('NP-ML is broken') and stage.news[-1].endswith('NP-ML begins anew.')
+    assert broken_rule(stage.learner.settings) is None, 'its parameters may change'
 
 
 def test_a_broken_model_is_replaced_by_the_last_checkpoint():
