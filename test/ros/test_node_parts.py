@@ -39,7 +39,7 @@ from semiparam_ros.ros.estimator.robot import Robot
 from semiparam_ros.ros.estimator.services import Services
 from semiparam_ros.settings.build import declared_effects
 from support.learner_stage import Stage
-from support.node_helpers import BODY, SETTINGS, URDF, motion
+from support.node_helpers import BODY, SETTINGS, URDF, DelayedBackground, motion
 
 AXES = ('fx', 'fy', 'fz', 'tx', 'ty', 'tz')
 WRENCHES = ('/wrench', '/estimator/predicted_wrench', '/estimator/residual')
@@ -313,6 +313,26 @@ def test_who_waits_for_a_model_that_is_built_no_more_is_told_so(then, told, monk
     stage.learner.reset() if then == 'reset' else wish('NP-ML')
     waits[-1]()
     assert (sent[0].result.successful, sent[0].result.reason) == (True, told)
+
+
+def test_who_waits_for_a_service_is_answered_when_the_node_ends(tmp_path, monkeypatch):
+    """What the executor had not come to was lost with it: a state was written, and nobody heard of it."""
+    learner, known, sent = Stage(replace(SETTINGS, variant='P')).learner, {}, []
+
+    def create_service(_, name, callback):
+        known[name] = SimpleNamespace(call=callback, send_response=lambda reply, _: sent.append((name, reply.success)))
+        return known[name]
+
+    monkeypatch.setattr('semiparam_ros.ros.estimator.services.learnt', lambda *_: None)
+    node = SimpleNamespace(create_service=create_service, get_logger=lambda: get_logger('services'),
+                           get_fully_qualified_name=lambda: '/arm')
+    requests = Services(node, SimpleNamespace(settings=SETTINGS), lambda: learner, lambda: URDF, DelayedBackground(),
+                        tmp_path, SimpleNamespace(take=lambda: None), lambda *_: None, None)
+    for name in ('~/save_state', '~/export_model', '~/load_state'):
+        known[name].send_response(known[name].call(None, None), None)
+    requests.close()
+    assert (tmp_path / SETTINGS.state_file).exists()
+    assert sent == [('~/save_state', True), ('~/load_state', False), ('~/export_model', False)]
 
 
 def test_what_is_said_may_be_an_error_once_and_a_warning_later():

@@ -68,12 +68,13 @@ class Diagnosing:
         self._progress = node.create_publisher(String, '~/diagnosis_progress', 10)
         create_deferred_trigger(node, '~/diagnose', self._diagnose)
         create_trigger(node, '~/cancel_diagnosis', self.cancel)
-        create_deferred_trigger(node, '~/apply_diagnosis', self._apply)
+        self._end_applying = create_deferred_trigger(node, '~/apply_diagnosis', self._apply)
 
     def close(self) -> None:
         """End the process, whatever it is doing."""
         if self._running is not None:
             self.cancel()
+        self._end_applying()
         if self._background is not None:
             self._background.close()
 

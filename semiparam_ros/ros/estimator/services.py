@@ -6,10 +6,11 @@ executor of the node does not await those of services.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from rclpy.node import Node
@@ -36,6 +37,8 @@ DISTURBED = ('The robot is touched or has changed, and the bias holds that now: 
 NOT_APPLIED = ('The robot is touched or has changed: links and friction hold that as far as it is learnt. '
                'A load is one of its own with diagnosis.auto: apply, or declared among the effects.')
 
+ENDS = 'the node ends, and waits for this no longer.'
+
 
 class Reply:
     """Answer that a request waits for: call it once, with the sentence and whether it went well,
@@ -51,6 +54,11 @@ class Reply:
         self._response = Trigger.Response(success=success, message=message)
         self._deliver()
 
+    @property
+    def called(self) -> bool:
+        """Tell whether there is an answer."""
+        return self._response is not None
+
     def expect(self, header: object, send: Callable[[Trigger.Response, object], None]) -> None:
         """Send the answer there."""
         self._header, self._send = header, send
@@ -62,12 +70,23 @@ class Reply:
             self._send = None
 
 
-def create_deferred_trigger(node: Node, name: str, action: Callable[[Reply], None]) -> None:
-    """A std_srvs/Trigger service; ``action`` starts the work and sees to it that the reply is called, or raises."""
+def create_deferred_trigger(node: Node, name: str, action: Callable[[Reply], None]) -> Callable[[], None]:
+    """A std_srvs/Trigger service; ``action`` starts the work and sees to it that the reply is called, or raises.
+
+    Returns what answers those who still wait when the node ends.
+    """
+    waiting: list[Reply] = []
+
     def begin(_request: Trigger.Request, _response: Trigger.Response) -> Reply:
         reply = Reply()
         action(reply)
+        waiting[:] = [*(each for each in waiting if not each.called), reply]
         return reply
+
+    def end() -> None:
+        for reply in waiting:
+            if not reply.called:
+                reply(ENDS, success=False)
 
     service = node.create_service(Trigger, name, begin)
     send = service.send_response
@@ -79,6 +98,7 @@ def create_deferred_trigger(node: Node, name: str, action: Callable[[Reply], Non
             send(reply, header)
 
     service.send_response = send_or_wait  # type: ignore[method-assign, assignment]
+    return end
 
 
 def create_trigger(node: Node, name: str, action: Callable[[], str]) -> None:
@@ -116,17 +136,24 @@ class Services:
         self._node, self._parameters, self._learner, self._schedule = node, parameters, learner, schedule
         self._description, self._background = description, background
         self._folder, self._lock, self._errors = folder, lock, errors
-        self._files = FileThread('states')
+        self._files, self._closed = FileThread('states'), False
+        self._done: deque[Callable[[], None]] = deque()
+        """What follows work in the thread for files, in its order."""
         create_trigger(node, '~/reset', self.reset)
         create_trigger(node, '~/tare', self.tare)
-        create_deferred_trigger(node, '~/save_state', self.save_state)
-        create_deferred_trigger(node, '~/load_state', self.load_state)
-        create_deferred_trigger(node, '~/export_model', self.export_model)
+        self._ends = [create_deferred_trigger(node, name, action) for name, action in (
+            ('~/save_state', self.save_state), ('~/load_state', self.load_state),
+            ('~/export_model', self.export_model))]
         node.create_service(SetBool, '~/pause_learning', self._pause)
 
     def close(self) -> None:
-        """Return when every state is written."""
+        """Return when every state is written, and everybody who waits is answered."""
+        self._closed = True
         self._files.wait()
+        while self._done:
+            self._go_on()
+        for end in self._ends:
+            end()
 
     def reset(self) -> str:
         """Forget everything learnt."""
@@ -159,6 +186,8 @@ class Services:
         path, learner = self._folder / settings.state_file, self._learner()
 
         def loaded(saved: SavedState) -> str:
+            if self._closed:  # its last checkpoint is written
+                raise SemiparamError(ENDS)
             current = self._learner()
             saved = saved._replace(settings=state_file.adopted(self._parameters.settings, saved.settings))
             current.restore(saved)
@@ -184,7 +213,16 @@ class Services:
 
     def _aside(self, name: str, work: Callable[[], Result], then: Callable[[Result], str], reply: Reply) -> None:
         """Do the work in the thread for files, what follows in the node's own."""
-        self._files.submit(work, partial(self._schedule, self._finish, name, reply, then))
+        def done(result: Any, error: Exception | None) -> None:
+            self._done.append(partial(self._finish, name, reply, then, result, error))
+            self._schedule(self._go_on)
+
+        self._files.submit(work, done)
+
+    def _go_on(self) -> None:
+        """The next one, unless the node has ended meanwhile and went on itself."""
+        if self._done:
+            self._done.popleft()()
 
     def _finish(self, name: str, reply: Reply, then: Callable[[Result], str], result: Result,
                 error: BaseException | None) -> None:
