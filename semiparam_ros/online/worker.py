@@ -195,16 +195,25 @@ class ProcessBackground:
     # In the thread that talks with the process
 
     def _serve(self) -> None:
-        worker = self._watched(self._first or _spawned_worker())
+        worker, trouble = self._begun(self._first)
         while (job := self._handed.get()) is not None:
-            if not worker.process.is_alive():
-                worker.line.close()
-                worker = self._watched(_spawned_worker())
-            self._schedule(self._finish, self._ask(worker, job))
+            if worker is None or not worker.process.is_alive():
+                if worker is not None:
+                    worker.line.close()
+                worker, trouble = self._begun()
+            self._schedule(self._finish, JobResult(error=trouble) if worker is None else self._ask(worker, job))
             del job  # it holds a history
-        worker.line.close()
-        worker.process.kill()
-        worker.process.join()
+        if worker is not None:
+            worker.line.close()
+            worker.process.kill()
+            worker.process.join()
+
+    def _begun(self, first: Worker | None = None) -> tuple[Worker | None, SemiparamError | None]:
+        """The first worker, or a new one; None where the system has no room for it, and a sentence on that."""
+        try:
+            return self._watched(first or _spawned_worker()), None
+        except (OSError, RuntimeError) as error:  # no process, or no thread that watches it
+            return None, SemiparamError(f'no process can be begun beside the node ({error}).')
 
     def _watched(self, worker: Worker) -> Worker:
         self._process = worker.process

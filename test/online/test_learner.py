@@ -22,7 +22,7 @@ from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.diagnosis.setup.identifiability import unidentifiable
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.experiments.evaluation import OfflineLearner
-from semiparam_ros.online import diagnosis_jobs, learner, model_jobs, state_file, transport
+from semiparam_ros.online import diagnosis_jobs, learner, model_jobs, state_file, transport, worker
 from semiparam_ros.online.history import History, batch_of
 from semiparam_ros.online.identified_parameters import Excitation, carried_load, conditioning, reported_load
 from semiparam_ros.online.learning import Learning
@@ -818,6 +818,22 @@ def test_a_process_runs_jobs_hands_back_results_and_is_replaced_when_it_dies(tmp
     assert 'died 2 times' in str(run(os._exit, 1)[1])
     assert run(max, 4, 5) == (5, None)
     background.close()
+
+
+def test_where_no_process_can_be_begun_each_job_is_told_so(monkeypatch):
+    """The thread that begins them ended, and whoever asked for anything from then on waited for ever."""
+    def refuse():
+        raise BlockingIOError(11, 'Resource temporarily unavailable')
+
+    monkeypatch.setattr(worker, '_spawned_worker', refuse)
+    tasks, results = queue.Queue(), []
+    background = ProcessBackground(lambda *task: tasks.put(partial(*task)))
+    for _ in range(2):
+        background.submit(max, 1, 2, done=lambda result, error: results.append((result, str(error))))
+        tasks.get(timeout=60)()
+    background.close()
+    told = 'no process can be begun beside the node ([Errno 11] Resource temporarily unavailable).'
+    assert results == [(None, told)] * 2
 
 
 def test_a_job_whose_process_is_killed_runs_again_and_those_behind_it_run_once(tmp_path):
