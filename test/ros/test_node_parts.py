@@ -244,6 +244,19 @@ def test_after_a_reset_nothing_is_reported_of_the_model_before():
     assert 'joint a has moved 0.000 rad only' in reports._model().message
 
 
+@pytest.mark.parametrize('given', [False, True])
+def test_a_reset_tells_of_a_new_window_where_there_is_one(given):
+    """It did also where hyperparameters were given, which need none."""
+    settings = replace(SETTINGS, variant='P')
+    if given:
+        settings = replace(settings, hyperparameters_gamma=(1.0,), hyperparameters_sigma=(0.1,),
+                           hyperparameters_output_scale=(1.0,) * 6)
+    requests, stage = Services.__new__(Services), Stage(settings)
+    requests._learner = lambda: stage.learner
+    told = requests.reset()
+    assert ('a new initial window of 60 samples' in told) == (not given) == (not stage.learner.estimator.ready)
+
+
 @pytest.mark.parametrize(('busy', 'sentence'), [(True, 'the one before it is still being written.'),
                                                 (False, 'Permission denied')])
 def test_a_node_ends_and_says_why_there_is_no_checkpoint_of_the_end(busy, sentence):

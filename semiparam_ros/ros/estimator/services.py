@@ -159,6 +159,8 @@ class Services:
         """Forget everything learnt."""
         learner = self._learner()
         learner.reset()
+        if learner.estimator.ready:
+            return 'all is forgotten; learning begins anew, with the hyperparameters that were given.'
         return f'all is forgotten; a new initial window of {learner.built.initial_samples} samples of motion begins.'
 
     def tare(self) -> str:
