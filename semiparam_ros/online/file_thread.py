@@ -39,8 +39,9 @@ class FileThread:
             else:
                 done(result, None)
 
-        self._thread = threading.Thread(target=run, name=self._name, daemon=True)
-        self._thread.start()
+        thread = threading.Thread(target=run, name=self._name, daemon=True)
+        thread.start()  # or raise where the system has no room for it: then the one before stays the last
+        self._thread = thread
 
     def wait(self) -> None:
         """Return when nothing is being done any more, or when a disk that hangs has been waited for long enough."""

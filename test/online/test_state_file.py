@@ -353,6 +353,21 @@ def test_files_wait_for_each_other_and_nobody_for_them():
     assert done == [True, ZeroDivisionError] and not thread.busy
 
 
+def test_what_follows_work_for_which_there_was_no_thread_is_done(monkeypatch):
+    """It waited for a thread that had never begun, and ended without a word."""
+    def refuse(thread):
+        raise RuntimeError("can't start new thread")
+
+    files, done = FileThread('test'), []
+    with monkeypatch.context() as patch:
+        patch.setattr(threading.Thread, 'start', refuse)
+        with pytest.raises(RuntimeError):
+            files.submit(lambda: 'never', lambda *outcome: done.append(outcome))
+    files.submit(lambda: 'second', lambda *outcome: done.append(outcome))
+    files.wait()
+    assert done == [('second', None)]
+
+
 def features_of(path):
     with np.load(path) as archive:
         return json.loads(str(archive['meta']))['settings']['features.count']
