@@ -19,6 +19,7 @@ from semiparam_ros.online.identified_parameters import Load, reported_load
 from semiparam_ros.ros.estimator import parameters
 from semiparam_ros.ros.estimator.autosave import Autosave
 from semiparam_ros.ros.estimator.changing import Changing
+from semiparam_ros.ros.estimator.consistent import ConsistentTopic
 from semiparam_ros.ros.estimator.diagnosing import Diagnosing, Running
 from semiparam_ros.ros.estimator.diagnostics import (
     OK,
@@ -231,6 +232,7 @@ def test_after_a_reset_nothing_is_reported_of_the_model_before():
     stage.offer(motion(260)[200:])
     reports = Reports.__new__(Reports)
     reports.tally, reports._history, reports._learner = Tally(BODY.joints), None, lambda: stage.learner
+    reports._consistent = SimpleNamespace(stop=lambda: None)
     for answer in stage.answers:
         reports.tally.add(answer)
     reports.tally.errors = stage.errors[-1]
@@ -242,6 +244,28 @@ def test_after_a_reset_nothing_is_reported_of_the_model_before():
         stage.learner.offer(still._replace(stamp=still.stamp + number))
         reports.tally.add(stage.answers[-1])
     assert 'joint a has moved 0.000 rad only' in reports._model().message
+
+
+def test_consistent_parameters_of_the_model_before_a_state_was_loaded_are_forgotten():
+    """They were told of the loaded one until its own were found, and those still to come were published then."""
+    stage, published = Stage(replace(SETTINGS, variant='P', parameters_consistent=True)), []
+    stage.offer_and_build(motion(70))
+    node = SimpleNamespace(get_fully_qualified_name=lambda: '/arm', create_publisher=lambda *_: SimpleNamespace(
+        publish=published.append))
+    reports = Reports.__new__(Reports)
+    reports.tally, reports._history, reports._learner = Tally(BODY.joints), None, lambda: stage.learner
+    reports._published, reports._payload = None, SimpleNamespace(publish=lambda message: None)
+    reports._payload_std = reports._payload
+    reports._consistent = ConsistentTopic(node, lambda: URDF, stage.background, stage.failed)
+    reports._parameters()
+    stage.background.run()
+    assert reports._parameters().values['consistent'].startswith('yes') and len(published) == 1
+    reports._consistent._earliest = 0.0
+    reports._parameters()
+    stage.learner.restore(stage.learner.state())
+    assert reports._parameters().values['consistent'] == 'no: they are being looked for.'
+    stage.background.run(1)
+    assert len(published) == 1, 'of the model before'
 
 
 @pytest.mark.parametrize('given', [False, True])

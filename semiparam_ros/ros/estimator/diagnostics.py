@@ -555,15 +555,21 @@ class Reports:
         learner = self._learner()
         if learner is None:
             return None
-        if self._history not in (None, learner.history):  # after a reset, or a state that was loaded
-            self.tally = Tally(learner.body.joints)
-        self._history = learner.history
+        self._go_on_with(learner)
         return model_report(learner, self.tally)
+
+    def _go_on_with(self, learner: Learner) -> None:
+        """Forget what is of the model before a reset, or before a state was loaded."""
+        if self._history not in (None, learner.history):
+            self.tally = Tally(learner.body.joints)
+            self._consistent.stop()
+        self._history = learner.history
 
     def _parameters(self) -> Report | None:
         learner = self._learner()
         if learner is None:
             return None
+        self._go_on_with(learner)
         load, sentence = believed_load(learner, self.tally)
         if learner.settings.parameters_consistent:
             return self._consistent_parameters(learner, load, sentence)
