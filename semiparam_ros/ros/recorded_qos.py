@@ -18,6 +18,8 @@ _CHOICES = {'history': ('keep_last', 'keep_all'), 'reliability': ('reliable', 'b
             'durability': ('volatile', 'transient_local'),
             'liveliness': ('automatic', 'manual_by_topic')}
 _DURATIONS = {'deadline': 'deadline_ns', 'lifespan': 'lifespan_ns', 'liveliness_lease_duration': 'liveliness_lease_ns'}
+LARGEST_DEPTH = 2**31 - 1
+"""That rclpy takes."""
 _IGNORED = ('avoid_ros_namespace_conventions',)
 
 
@@ -28,7 +30,8 @@ def lossless(qos: Qos) -> Qos:
 
 def to_rclpy(qos: Qos) -> QoSProfile:
     """The profile that rclpy takes; the usual depth where a recorder did not know it and wrote 0."""
-    return QoSProfile(history=HistoryPolicy[qos.history.upper()], depth=qos.depth if qos.depth > 0 else Qos().depth,
+    return QoSProfile(history=HistoryPolicy[qos.history.upper()],
+                      depth=min(qos.depth, LARGEST_DEPTH) if qos.depth > 0 else Qos().depth,
                       reliability=ReliabilityPolicy[qos.reliability.upper()],
                       durability=DurabilityPolicy[qos.durability.upper()],
                       deadline=_duration(qos.deadline_ns), lifespan=_duration(qos.lifespan_ns),

@@ -58,6 +58,8 @@ def test_what_rclpy_gets():
     assert profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
     assert from_rclpy(to_rclpy(LATCHED)) == Qos(durability='transient_local')
     assert to_rclpy(Qos(depth=0)).depth == 10  # as a recorder writes that did not know it; rclpy warned
+    largest = to_rclpy(Qos(depth=2**64 - 1))
+    assert largest.get_c_qos_profile() and largest.depth == 2**31 - 1, 'rclpy raised a TypeError'
     assert to_rclpy(*parse_profiles('- liveliness: 2')).liveliness == LivelinessPolicy.AUTOMATIC  # not of rclpy
 
 
