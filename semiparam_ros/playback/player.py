@@ -16,6 +16,9 @@ from typing import NamedTuple, Protocol
 from semiparam_ros.errors import SemiparamError
 
 MonotonicClock = Callable[[], int]
+LOOK_S = 3600.0
+"""Nobody waits for longer without looking again: Python refuses to wait for centuries, as at a rate near 0."""
+END_OF_TIME_NS = 2**62
 
 
 def checked_rate(rate: float) -> float:
@@ -55,7 +58,8 @@ class PlayClock:
         """The present bag time [ns]."""
         if self._paused:
             return self._bag_anchor
-        return self._bag_anchor + int((self._monotonic() - self._wall_anchor) * self._rate)
+        passed = (self._monotonic() - self._wall_anchor) * self._rate
+        return self._bag_anchor + int(min(passed, float(END_OF_TIME_NS)))
 
     def seconds_until(self, bag_time: int) -> float:
         """Seconds of this machine until ``bag_time`` [ns] is due; zero or less when it is due, for a running clock."""
@@ -198,7 +202,7 @@ class Player:
                     if not self._paced or self._clock.paused:
                         self._clock.jump(item.time)
                     return _Next.GO
-                self._changed.wait(delay)
+                self._changed.wait(None if delay is None else min(delay, LOOK_S))
 
     def _delay(self, item: Item) -> float | None:
         """Seconds to wait before looking again: 0 when the item may go, None until somebody calls."""

@@ -172,6 +172,19 @@ def test_a_new_rate_holds_at_once_for_a_message_that_is_waited_for():
     assert stage.heard == [0, 1]
 
 
+@pytest.mark.parametrize('rate', [1e-11, 1e-300, 1e308])
+def test_a_playback_does_not_end_whatever_its_rate(rate):
+    """A wait of centuries, or a bag time without end, ended it by an OverflowError."""
+    with Stage(Score(2, spacing=3600 * 10**9)) as stage:
+        stage.wait_for(1)
+        stage.player.set_rate(rate)
+        time.sleep(0.01)
+        assert stage.player.now() <= stage.player._timeline.end_ns
+        stage.player.set_rate(1e9)
+        stage.join()
+    assert stage.heard == [0, 1]
+
+
 @pytest.mark.parametrize('rate', [0.0, -1.0, float('nan'), float('inf')])
 def test_a_rate_that_is_not_above_zero_is_refused(rate):
     player = Player(Score(2), lambda item: None)
