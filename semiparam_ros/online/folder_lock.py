@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import fcntl
 import os
+import threading
 from contextlib import suppress
 from pathlib import Path
 
@@ -23,12 +24,17 @@ class FolderLock:
         self._folder, self._node_name = folder, node_name
         self._path = folder / f'{stem(node_name)}.lock'
         self._descriptor: int | None = None
+        self._turn = threading.Lock()
 
     def take(self) -> None:
         """Take it, or have it; anew where its file has gone. Raises SemiparamError while another process has it.
 
         Where no lock can be made (no folder, a file system without locks) nothing is said: writing tells what is wrong.
         """
+        with self._turn:  # the node's own thread may ask for it, and that of checkpoints
+            self._take()
+
+    def _take(self) -> None:
         if self._descriptor is not None:
             if self._is_there(self._descriptor):
                 return

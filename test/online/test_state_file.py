@@ -576,6 +576,28 @@ def test_a_lock_whose_folder_was_removed_is_taken_anew(tmp_path):
         first.take()
 
 
+def test_two_threads_take_a_lock_anew_at_once(tmp_path):
+    """Each closed what the other had opened: a state and a checkpoint are written in two threads."""
+    failed, lock = [], FolderLock(tmp_path / 'states', 'arm')
+
+    def take(barrier):
+        barrier.wait()
+        try:
+            lock.take()
+        except Exception as error:
+            failed.append(error)
+
+    lock.take()
+    for number in range(20):
+        (tmp_path / 'states').rename(tmp_path / str(number))
+        threads = [threading.Thread(target=take, args=(barrier,)) for barrier in [threading.Barrier(2)] * 2]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+    assert not failed
+
+
 @contextmanager
 def other_process(folder, name):
     """One that has the lock, however it ends."""
