@@ -174,7 +174,8 @@ def test_a_tool_adds_what_a_description_with_it_has_more(text, outputs):
     ('ft {"mass": 1, "centre": [0, 0]}', 'expected 3 finite numbers'), ('ft {"mass": 1e9}', 'of at most 10000'),
     ('ft {"mass": -1}', 'has mass -1 kg'), ('ft {"mass": 1, "inertia": [9, 0, 0, 1, 0, 1]}', 'no moment larger'),
     ('<link', 'is not valid XML'), ('<link name="ft"/>', 'has mass 0 kg'),
-    (SNIPPET.replace('fixed', 'revolute'), 'joints that move')])
+    (SNIPPET.replace('fixed', 'revolute'), 'joints that move'),
+    pytest.param('ft {"mass": ' + 100_000 * '[', 'cannot be read', id='no end of lists')])
 def test_what_is_no_tool_is_refused_in_a_sentence(text, sentence):
     with pytest.raises(SemiparamError, match='(?s).*' + sentence.replace('(', '\\(')) as error:
         tool_from_text(text)

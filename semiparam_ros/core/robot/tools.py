@@ -94,7 +94,7 @@ def _from_json(text: str) -> tuple[str, pin.Inertia]:
     link, brace, tail = text.partition('{')
     try:
         values: Any = json.loads(brace + tail)
-    except ValueError:
+    except (ValueError, RecursionError):
         values = None
     if not link.strip() or not isinstance(values, dict) or 'mass' not in values or not set(values) <= set(KEYS):
         raise SemiparamError(f"tool '{text[:80]}' cannot be read; expected LINK {{\"mass\": kg, \"centre\": [x, y, z], "
