@@ -16,7 +16,8 @@ from semiparam_ros.export.urdf import described_links, identified_urdf
 def export_to(folder: Path, name: str, urdf: str, estimate: Estimate) -> str:
     """Write ``name.urdf`` and ``name.json``; the sentence returned says where.
 
-    Raises SemiparamError, with nothing written, when something else than an export has their names.
+    Raises SemiparamError, with nothing written, when something else than an export has their names, or no folder of
+    theirs can be made.
     """
     paths = [folder / f'{name}{suffix}' for suffix in ('.urdf', '.json')]
     for path in paths:
@@ -24,7 +25,10 @@ def export_to(folder: Path, name: str, urdf: str, estimate: Estimate) -> str:
     found = identify(estimate, described_links(urdf))
     texts = [identified_urdf(urdf, found, remark(found)),
              json.dumps(document(found), indent=2) + '\n']
-    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise SemiparamError(f'there is no folder {folder} and none can be made: {error.strerror}.') from error
     for path, text in zip(paths, texts, strict=True):
         write_text(path, text)
     loads = ' and '.join(f'a load of {load.mass:.4g} kg at {load.link}' for load in found.loads)
@@ -32,9 +36,14 @@ def export_to(folder: Path, name: str, urdf: str, estimate: Estimate) -> str:
 
 
 def _require_replaceable(path: Path) -> None:
-    if path.is_symlink():
-        raise SemiparamError(f'{path} is a link, which is not followed; expected an export or no '
-                             'file.')
-    if path.exists() and MARK not in path.read_text(encoding='utf-8', errors='replace'):
+    try:
+        if path.is_symlink():
+            raise SemiparamError(f'{path} is a link, which is not followed; expected an export or no '
+                                 'file.')
+        foreign = path.exists() and (
+            not path.is_file() or MARK not in path.read_text(encoding='utf-8', errors='replace'))
+    except OSError as error:
+        raise SemiparamError(f'{path} cannot be read, so it is not replaced: {error.strerror}.') from error
+    if foreign:
         raise SemiparamError(f'{path} is no export, so it is not replaced; move it away, or choose '
                              'another state_file.')

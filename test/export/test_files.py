@@ -1,6 +1,7 @@
 """Forms of controllers whose numbers can be checked, and what a node writes."""
 
 import json
+import os
 from dataclasses import replace
 
 import numpy as np
@@ -113,3 +114,15 @@ def test_a_node_writes_both_files_and_replaces_its_own_alone(estimate, tmp_path)
     (tmp_path / 'states/link.urdf').symlink_to(tmp_path / 'else')
     with pytest.raises(SemiparamError, match=r'link\.urdf is a link, which is not followed'):
         export_to(tmp_path / 'states', 'link', URDF, estimate)
+
+
+def test_where_no_file_can_be_a_node_says_so(estimate, tmp_path):
+    """It was an internal error, or a pipe was waited for."""
+    (tmp_path / 'arm.json').mkdir()
+    os.mkfifo(tmp_path / 'pipe.urdf')
+    for name in ('arm', 'pipe'):
+        with pytest.raises(SemiparamError, match=rf'{name}\.(urdf|json) is no export, so it is not replaced'):
+            export_to(tmp_path, name, URDF, estimate)
+    (tmp_path / 'file').touch()
+    with pytest.raises(SemiparamError, match=r'there is no folder .*file/states and none can be made: Not a directory'):
+        export_to(tmp_path / 'file' / 'states', 'arm', URDF, estimate)
