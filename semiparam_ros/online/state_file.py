@@ -245,9 +245,13 @@ def replaceable(path: Path) -> Configuration | None:
 
     Raises SemiparamError when a state must not take the place of what has it.
     """
-    if path.is_symlink():
+    try:
+        is_link, exists = path.is_symlink(), path.exists()
+    except OSError as error:  # of a folder that may not be looked into
+        raise SemiparamError(f'cannot write {path}: {error.strerror}.') from error
+    if is_link:
         raise SemiparamError(f'{path} is a link, which is not followed; expected a saved state or no file.')
-    if not path.exists():
+    if not exists:
         return None
     try:
         return _configuration(path)

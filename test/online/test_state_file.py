@@ -257,6 +257,17 @@ def test_nothing_but_a_state_is_replaced(tmp_path, spoil):
     assert contents(tmp_path) == before
 
 
+def test_a_folder_that_may_not_be_looked_into_is_told(tmp_path, monkeypatch):
+    """It was an internal error."""
+    def is_symlink(path):
+        raise PermissionError(13, 'Permission denied')
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, 'is_symlink', is_symlink)
+        with pytest.raises(SemiparamError, match=r'cannot write .*s\.npz: Permission denied\.'):
+            state_file.save(tmp_path / 's.npz', stage_of(SETTINGS).learner.state())
+
+
 def contents(folder):
     return {path.name: path.read_bytes() if path.is_file() else path.lstat().st_mode for path in folder.iterdir()
             if path.suffix != '.lock'}
