@@ -341,8 +341,11 @@ def _configuration(path: Path) -> Configuration:
     meta = json.loads(str(arrays['meta']))
     if meta.get('format') != FORMAT:
         raise ValueError('it is no saved state')
-    return Configuration(meta.get('version'), meta.get('joints', []), meta.get('settings', {}),
-                         arrays.get('probe', np.zeros(0)))
+    joints, settings, given = meta.get('joints', []), meta.get('settings', {}), arrays.get('probe', np.zeros(0))
+    if not (isinstance(joints, list) and all(isinstance(name, str) for name in joints)
+            and isinstance(settings, dict) and given.dtype.kind == 'f'):
+        raise ValueError('it does not say what it was learnt with')
+    return Configuration(meta.get('version'), joints, settings, given)
 
 
 def _write_archive(stream: IO[bytes], arrays: Arrays) -> None:

@@ -240,6 +240,41 @@ def spoil_loose_link(path):
     path.symlink_to('/nowhere/at/all')
 
 
+def spoil_joints(path):
+    spoil_state(path, joints=5)
+
+
+def spoil_names_of_joints(path):
+    spoil_state(path, joints=[1, 2])
+
+
+def spoil_settings(path):
+    spoil_state(path, settings=None)
+
+
+def spoil_probe(path):
+    spoil_state(path, probe=np.full((19, 10), 'x'))
+
+
+def spoil_state(path, probe=None, **changes):
+    """A state that does not say what it was learnt with; to compare it with another was an internal error."""
+    arrays = state_file.snapshot(stage_of(SETTINGS, motion(3)).learner.state()).arrays()
+    meta = json.dumps({**json.loads(str(arrays['meta'])), **changes})
+    np.savez(path, **{**arrays, 'meta': np.array(meta), 'probe': arrays['probe'] if probe is None else probe})
+
+
+@pytest.mark.parametrize('spoil', [
+    spoil_joints, spoil_names_of_joints, spoil_settings, spoil_probe])
+def test_a_state_that_does_not_say_of_what_it_is_stops_no_saving(tmp_path, spoil):
+    checkpoints, state = Checkpoints(tmp_path, 'arm'), stage_of(SETTINGS, motion(3)).learner.state()
+    spoil(checkpoints.path)
+    with pytest.raises(SemiparamError, match='is no saved state, so it is not replaced'):
+        state_file.save(checkpoints.path, state)
+    assert checkpoints.newest(SETTINGS, BODY) is None
+    checkpoints.save(state)
+    assert checkpoints.newest(SETTINGS, BODY) is not None
+
+
 @pytest.mark.parametrize('spoil', [
     spoil_text, spoil_archive, spoil_other_json, spoil_link, spoil_loose_link, Path.mkdir, Path.touch, os.mkfifo])
 def test_nothing_but_a_state_is_replaced(tmp_path, spoil):
