@@ -98,8 +98,8 @@ def remove_leftovers(path: str | os.PathLike[str]) -> None:
 
 
 def _prefix(path: Path) -> str:
-    """Prefix of the neighbours: hidden, and short enough for a long name."""
-    return f'.{path.name[:100]}.'
+    """Prefix of the neighbours: hidden, and short enough for a long name, whose letters may have four bytes each."""
+    return f'.{path.name[:60]}.'
 
 
 def _neighbour(path: Path) -> Path:

@@ -78,6 +78,15 @@ def test_ctrl_c_removes_what_was_written_so_far(tmp_path):
     assert os.listdir(tmp_path) == []
 
 
+@pytest.mark.parametrize('letter', ['x', 'é', '漢', '🤖'])
+def test_the_longest_name_that_a_file_can_have_can_be_written(tmp_path, letter):
+    """With a name of 81 Chinese letters or more, what is written first had none that fits a folder."""
+    path = tmp_path / (letter * (255 // len(letter.encode())))
+    require_writable(path)
+    write_text(path, 'all')
+    assert os.listdir(tmp_path) == [path.name] and path.read_text() == 'all'
+
+
 def test_what_a_killed_writer_left_is_removed(tmp_path):
     program = ('import os, sys\nfrom semiparam_ros.atomic_write import replacing\n'
                'with replacing(sys.argv[1], durable=True) as stream:\n'
