@@ -89,6 +89,11 @@ def term_values(text: str, body: RigidBody, samples: Samples) -> Array:
     return values
 
 
+def nameable(variable: str) -> bool:
+    """Tell whether the grammar has a name for a variable: a joint may be called by letters that stand in no term."""
+    return re.fullmatch(_VARIABLE, variable) is not None
+
+
 def variable_values(name: str, body: RigidBody, samples: Samples) -> Array:
     """Values (N,) of a variable along the samples."""
     if name == 'time':

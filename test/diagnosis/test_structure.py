@@ -220,6 +220,17 @@ def test_what_depends_on_no_variable_gets_no_formula():
     assert find_formula([], icub(), MOTION, noise(MOTION, 5)[:, 0], 0) is None
 
 
+def test_joints_that_no_term_can_name_get_no_formula():
+    """A joint with a space in its name ended the whole diagnosis where anything was left unexplained."""
+    odd = ICUB_OWN.read_text().replace('"r_elbow"', '"r elbow"').replace('"r_shoulder_yaw"', '"r_épaule"')
+    joints = ('r_shoulder_pitch', 'r_shoulder_roll', 'r_épaule', 'r elbow')
+    body = RigidBody.from_urdf(odd, joints, 'effort')
+    values, names = np.sin(MOTION.position[:, 3]), ['q_r elbow', 'dq_r_épaule']
+    assert find_formula(names, body, MOTION, values, 1) is None
+    found = find_formula([*names, 'q_r_shoulder_roll'], body, MOTION, values + 3.0 * MOTION.position[:, 1], 1)
+    assert effect_from_text(effect_to_text(found.effect)) == found.effect
+
+
 def test_every_term_of_the_library_is_in_the_grammar():
     names = library(['q_r_elbow', 'dq_r_elbow', 'ddq_r_shoulder_yaw', 'time'], icub(), MOTION)
     assert len(set(names)) == len(names) > 40

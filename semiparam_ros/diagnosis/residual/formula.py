@@ -22,7 +22,7 @@ from semiparam_ros.diagnosis.residual.flexible import (
     predictions,
     random_features,
 )
-from semiparam_ros.effects.terms import Terms, term_unit, term_values
+from semiparam_ros.effects.terms import Terms, nameable, term_unit, term_values
 
 
 class Dependence(NamedTuple):
@@ -111,8 +111,8 @@ class Formula(NamedTuple):
 
 def library(variables: Sequence[str], body: RigidBody, samples: Samples,
             config: DiagnosisConfig = DEFAULTS) -> list[str]:
-    """Names of the terms made of some variables, the plainest first."""
-    motion = [name for name in variables if name != 'time']
+    """Names of the terms made of those variables that a term can name, the plainest first."""
+    motion = [name for name in variables if name != 'time' and nameable(name)]
     plain = [term for name in motion for term in _of_one(name)]
     if 'time' in variables:
         plain = ['time', 'time^2', *plain, *(f'time*{term}' for term in plain), *(f'time^2*{name}' for name in motion)]
