@@ -70,7 +70,7 @@ class CableSpring(_Cable):
         return super().permitted(body) if body.outputs == 'wrench' else observed_links(body)
 
     def coefficients(self, body: RigidBody) -> tuple[Coefficient, ...]:
-        if self.where in body.joints:
+        if self._at_joint(body):
             angle = body.joint_unit(self.where, 'rad')
             return tuple(Coefficient(f'stiffness_{name}', f'{unit}/{angle}')
                          for name, unit in zip(CHANNELS, body.output_units, strict=True))
@@ -78,7 +78,7 @@ class CableSpring(_Cable):
         return (*(Coefficient(f'force_{axis}', 'N') for axis in 'xyz'), *stiffnesses)
 
     def basis(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[Array, Memory]:
-        if self.where in body.joints:
+        if self._at_joint(body):
             return samples.position[:, joint_index(body, self.where), None, None] * np.eye(len(CHANNELS)), None
         motion = self.motion(body, samples)
         forces = np.zeros((len(samples), 3, 9))
@@ -87,6 +87,10 @@ class CableSpring(_Cable):
             forces[:, i, column] = -motion.position[:, j]
             forces[:, j, column] = -motion.position[:, i]
         return motion.force_map @ forces, None
+
+    def _at_joint(self, body: RigidBody) -> bool:
+        """Tell whether its place is a joint: that of efforts is a link, which may have a joint's name."""
+        return body.outputs == 'wrench' and self.where in body.joints
 
 
 class CableHysteresis(_Cable):

@@ -31,7 +31,7 @@ from semiparam_ros.experiments.scoreboard import body_of, samples_of
 from semiparam_ros.simulation.causes.forces import PAYLOAD_RADIUS_M
 from semiparam_ros.simulation.scenario import EffectRequest, Scenario
 from semiparam_ros.simulation.simulate import simulate
-from support.arms import ICUB_JOINTS, ICUB_OWN, ICUB_SENSOR
+from support.arms import ICUB_JOINTS, ICUB_OWN, ICUB_SENSOR, TWO_ARMS, TWO_ARMS_JOINTS, smooth_motion
 from support.effect_cases import BODIES, CASES, MOTION, NAMES
 
 UNITS = {'N', 'm', 'kg', 's', 'rad', 'Hz', 'K', 'or'}
@@ -285,6 +285,16 @@ def test_each_kind_bounds_its_own_line_search():
     still = replace(MOTION, position=np.zeros_like(MOTION.position))
     bristle = effect_from_text('coulomb_friction@r_elbow{"presliding": 0.1}')
     assert min(bristle.bounds('presliding', BODIES['wrench'], still, residual)) > 0.0, 'nothing divides by zero'
+
+
+def test_a_cable_pulls_at_a_link_that_has_the_name_of_a_joint():
+    """Of efforts its columns were those of a joint, one for each channel of a wrench, so no change could be named."""
+    alike = RigidBody.from_urdf(TWO_ARMS.replace('b_fore', 'b_elbow'), TWO_ARMS_JOINTS, 'effort')
+    body = RigidBody.from_urdf(TWO_ARMS, TWO_ARMS_JOINTS, 'effort')
+    motion, cable = smooth_motion(5, 40), kinds()['cable_spring']
+    columns = cable('b_elbow').columns(alike, motion, None)[0]
+    np.testing.assert_array_equal(columns, cable('b_fore').columns(body, motion, None)[0])
+    assert cable('b_elbow').coefficients(alike) == cable('b_fore').coefficients(body)
 
 
 def test_a_load_moves_to_the_link_nearest_to_its_centre():
