@@ -227,8 +227,10 @@ def _candidates(fit: Fit) -> list[Effect]:
 
 
 def _places(kind: type[Effect], body: RigidBody) -> Sequence[str | None]:
-    """Where an effect may begin; at links the last one of each branch alone."""
+    """Where an effect may begin; at links the last one of each branch alone. A joint may have a link's name."""
     places = kind.permitted(body) if kind.may_come else kind.places(body)
+    if kind.of_joint:
+        return places
     return [link for link in last_links(body) if link in places] or places
 
 

@@ -110,6 +110,7 @@ class ZeroSlip(_SmallTurn):
     """A joint's zero that slipped: from then on the true angle is the encoder's plus ``offset``."""
 
     kind: ClassVar[str] = 'zero_slip'
+    of_joint: ClassVar[bool] = True
     sentence: ClassVar[str] = "the joint's zero has slipped"
     mistaken_for: ClassVar[tuple[str, ...]] = ('base_shift', 'effort_offset', 'payload')
     separated_by: ClassVar[str] = JointOffset.separated_by

@@ -55,6 +55,19 @@ def test_a_load_is_named_at_either_hand(hand):
     assert named.parameters['mass'].value == pytest.approx(1.5, rel=0.02)
 
 
+def test_a_zero_slips_at_any_joint_whatever_links_are_called():
+    """Where a hand has the name of the joint that carries it, zeros were tried there alone, and a load was put down."""
+    alike = TWO_ARMS.replace('a_fore', 'a_elbow').replace('b_fore', 'b_elbow')
+    body = RigidBody.from_urdf(alike, TWO_ARMS_JOINTS, 'effort')
+    motion = smooth_motion(5, 800)
+    turned = motion.position + np.deg2rad([0.0, 4.0, 0.0, 0.0, 0.0]) * (motion.time >= 25.0)[:, None]
+    exact = body.outputs_of(replace(motion, position=turned), body.base_parameters)
+    noise = 0.01 * exact.std(axis=0) * np.random.default_rng(0).standard_normal(exact.shape)
+    named = name_change(body, replace(motion, outputs=exact + noise), [], 25.5)
+    assert named.effect is not None and (named.effect.kind, named.effect.where) == ('zero_slip', 'a_shoulder')
+    assert named.parameters['offset'].value == pytest.approx(np.deg2rad(4.0), rel=0.1)
+
+
 def came(outputs: str, cause: str, seed: int, at_s: float = PICKED_UP_S):
     """A robot's samples with a cause that came, by the simulator's own arm; and its body."""
     scenario = Scenario(
