@@ -131,7 +131,7 @@ def _of_state(args: argparse.Namespace, settings: Settings) -> Estimate:
     if args.kept_samples and samples is not None:
         texts = *saved.settings.effects, *(f'payload@{link}' for link in args.load)
         effects = declared_effects(replace(saved.settings, effects=texts))
-        estimate = from_recording(body, effects, samples, settings.joint_friction,
+        estimate = from_recording(body, effects, samples, saved.settings.joint_friction,
                                   args.keep_inertias, str(args.source))
     else:
         estimate = from_estimator(saved.estimator, samples, str(args.source))

@@ -1,6 +1,7 @@
 """`semiparam export`: from recordings and states to files."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
@@ -16,6 +17,7 @@ from semiparam_ros.export.urdf import described_links
 from semiparam_ros.online import state_file
 from semiparam_ros.settings import load_params
 from semiparam_ros.settings.build import build_rigid_body
+from support.arms import smooth_motion
 from support.commands import document, refusal, semiparam
 from support.learner_stage import Stage
 from support.node_helpers import InlineBackground
@@ -201,6 +203,23 @@ def test_a_saved_state_is_exported_as_it_was_learnt(folder, tmp_path, capsys):
     assert kept['held_out'] and not learnt['held_out']
     assert kept['consistent'] == pytest.approx(recorded['errors']['consistent'], rel=0.02)
     assert models[2]['loads'] and not any(link['changed'] for link in models[2]['links'].values())
+
+
+def test_kept_samples_are_fitted_with_the_friction_that_their_state_has(tmp_path):
+    """The state brings its model along, but the friction of that was asked of the parameter file."""
+    params = tmp_path / 'p.yaml'
+    text = (f'/**:\n  ros__parameters:\n    joints: [{", ".join(JOINTS)}]\n    outputs: effort\n'
+            f'    robot_description_file: {URDF}\n    variant: P\n    initial.samples: 200\n')
+    params.write_text(f'{text}    joint_friction: false\n')
+    settings, body = load_params(params), RigidBody.from_urdf(URDF.read_text(), JOINTS, 'effort')
+    motion = smooth_motion(4, 400)
+    efforts = body.outputs_of(motion, body.base_parameters)
+    stage = Stage(settings, InlineBackground(), body)
+    stage.offer(list(replace(motion, outputs=efforts + 0.01 * np.random.default_rng(0).standard_normal(efforts.shape))))
+    state_file.save(tmp_path / 's.npz', stage.learner.state())
+    params.write_text(text)
+    for options in ((), ('--kept-samples',)):
+        assert document(tmp_path / 's.json', 'export', tmp_path / 's.npz', '--params', params, *options)['joints'] == {}
 
 
 def test_changes_that_are_applied_beside_the_model_are_exported_with_it(folder, tmp_path, capsys):
