@@ -322,7 +322,7 @@ def _contribution(bodies: Sequence[Body], parameters: Sequence[Array] | Array, c
 
 
 def _dynamics(columns: CoupledColumns) -> list[tuple[str, str, Array]]:
-    """Joint, quantity and the weights (p,) by which it follows from theta."""
+    """Joint, quantity and the weights (p,) by which it follows from theta; what is over is none of a joint's."""
     body, found = columns.body, dict[tuple[str, str], Array]()
 
     def add(joint: str, name: str, place: int, weight: float) -> None:
@@ -335,7 +335,8 @@ def _dynamics(columns: CoupledColumns) -> list[tuple[str, str, Array]]:
                 add(joint, 'damping' if name == 'viscous' else 'friction',
                     start + kind * body.n_outputs + number, 1.0)
     for index, effect in enumerate(columns.effects):
-        roles = DYNAMICS.get(effect.kind, {})
+        over = isinstance(effect, Effect) and effect.ends
+        roles = {} if over else DYNAMICS.get(effect.kind, {})
         block, joint = columns.blocks[str(index)], str(effect.where)
         for place, name in enumerate(_coefficients(columns, index)):
             if name in roles:

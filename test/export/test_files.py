@@ -68,6 +68,17 @@ def test_friction_of_some_joints_stands_at_their_places(estimate):
     assert f'Joints: {", ".join(ICUB_JOINTS)}' in text
 
 
+def test_friction_that_is_over_is_in_no_file(estimate):
+    """It was added to what the joint rubs with now."""
+    texts = [f'viscous_friction@{ICUB_JOINTS[1]}{{"{name}": 20.0}}' for name in ('end_s', 'start_s')]
+    columns = CoupledColumns(estimate.columns.body, [effect_from_text(text) for text in texts], False, True)
+    mean = columns.expected
+    mean[[columns.blocks[name].start for name in '01']] = 5.0, 1.0
+    known = Estimate(columns, mean, 1e8 * np.eye(len(mean)), 'a table', np.full(4, SPEED))
+    (found,) = identify(known, described_links(URDF)).joints
+    assert (found.joint, found.name, found.value) == (ICUB_JOINTS[1], 'damping', pytest.approx(1.0, abs=1e-3))
+
+
 def test_a_joint_that_stood_still_has_no_friction_whatever_rounding_left(estimate):
     """Divided by its largest velocity, 1e-17 N m of friction ended the export as an internal error."""
     estimate.mean[estimate.columns.blocks['friction']] = [0.5, 0.0, 0.0, 0.0, 0.0, 1e-17, *[0.0] * 6]
