@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from semiparam_ros.core.columns import CoupledColumns
+from semiparam_ros.core.columns import ColumnBlock, CoupledColumns
 from semiparam_ros.core.robot.consistency import (
     FLAT,
     Body,
@@ -203,16 +203,18 @@ class _Solution:
         self._rigid[columns.blocks['rigid_body']] = True
         for index, effect in enumerate(columns.effects):
             if effect.is_load and not (isinstance(effect, Effect) and effect.ends):
-                self._add_load(str(effect.where), columns.blocks[str(index)],
-                               estimate.mean, covariance)
+                self._add_load(effect, columns.blocks[str(index)], estimate.mean, covariance)
         length = max(size.length, reach_of(body))
         usual = ball(SHARE * size.mass, LEAST_LENGTH_SHARE * length)
         self._load_bodies = [Body(usual, np.eye(count)[:, block], length)
                              for _, block in self.loads]
         self.dynamics = _dynamics(columns)
 
-    def _add_load(self, link: str, block: slice, mean: Array, covariance: Array) -> None:
-        shown = mean[block.start] > SURE * _std(covariance, block.start)
+    def _add_load(self, effect: ColumnBlock, block: slice, mean: Array, covariance: Array) -> None:
+        link, shown = str(effect.where), mean[block.start] > SURE * _std(covariance, block.start)
+        if not shown and isinstance(effect, Effect) and not effect.is_body:
+            raise SemiparamError(f"effect '{spelling(effect.kind, link)}' takes away what no load can: the other tool "
+                                 'weighs less, or as much. Expected samples of that tool alone, and no such effect.')
         (self._rigid if shown else self._absent)[block] = True
         if shown:
             self.loads.append((link, block))

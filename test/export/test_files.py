@@ -79,6 +79,16 @@ def test_friction_that_is_over_is_in_no_file(estimate):
     assert (found.joint, found.name, found.value) == (ICUB_JOINTS[1], 'damping', pytest.approx(1.0, abs=1e-3))
 
 
+def test_a_lighter_tool_is_no_load_that_is_not_there(estimate):
+    """Declared among the effects it was left out, and the files held the tool of before."""
+    columns = CoupledColumns(estimate.columns.body, [effect_from_text('tool_exchange@r_hand')], True, True)
+    mean = columns.expected
+    mean[columns.blocks['0']] = [-0.1, 0.0, 0.0, 0.0, -1e-3, 0.0, -1e-3, 0.0, 0.0, -1e-3]
+    known = Estimate(columns, mean, 1e8 * np.eye(len(mean)), 'a table', np.full(4, SPEED))
+    with pytest.raises(SemiparamError, match='tool_exchange@r_hand.* takes away what no load can'):
+        identify(known, described_links(URDF))
+
+
 def test_a_joint_that_stood_still_has_no_friction_whatever_rounding_left(estimate):
     """Divided by its largest velocity, 1e-17 N m of friction ended the export as an internal error."""
     estimate.mean[estimate.columns.blocks['friction']] = [0.5, 0.0, 0.0, 0.0, 0.0, 1e-17, *[0.0] * 6]
