@@ -133,6 +133,11 @@ class CableHysteresis(_Cable):
             raise SemiparamError(f"effect '{self.kind}' has a direction at the joint {self.where}; expected one at a "
                                  'link alone.')
 
+    def unit_of(self, name: str, body: RigidBody | None = None) -> str:
+        if body is None or name != 'slip':
+            return super().unit_of(name, body)
+        return body.joint_unit(self.where, 'rad') if self.where in body.joints else 'm'
+
     def coefficients(self, body: RigidBody) -> tuple[Coefficient, ...]:
         if self.where in body.joints:
             return tuple(Coefficient(name, unit) for name, unit in zip(CHANNELS, body.output_units, strict=True))

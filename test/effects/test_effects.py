@@ -297,6 +297,13 @@ def test_a_cable_pulls_at_a_link_that_has_the_name_of_a_joint():
     assert cable('b_elbow').coefficients(alike) == cable('b_fore').coefficients(body)
 
 
+def test_a_cable_slips_in_the_unit_of_its_place():
+    """Reports said 'rad or m' of each."""
+    body, cable = BODIES['wrench'], kinds()['cable_hysteresis']
+    units = [cable(where, {'slip': 0.1}).unit_of('slip', body) for where in (body.joints[0], 'r_hand')]
+    assert units == ['rad', 'm']
+
+
 def test_a_load_moves_to_the_link_nearest_to_its_centre():
     body = BODIES['wrench']
     load = effect_from_text('payload@r_hand')
