@@ -36,6 +36,9 @@ class AtPoint(Effect):
     def permitted(cls, body: RigidBody) -> Sequence[str | None]:
         return observed_links(body)
 
+    def at_joint(self, body: RigidBody) -> bool:
+        return False
+
     def conceivable(self, body: RigidBody, coefficients: Array) -> bool:
         """Tell whether it may be so, the point no farther from the link than the arm is long."""
         lever = float(np.linalg.norm([self.value(axis) for axis in POINT]))

@@ -316,6 +316,10 @@ class Effect(ColumnBlock):
         """Plainer effects that together do the same in a special case, such as equal friction in both directions."""
         return ()
 
+    def at_joint(self, body: RigidBody) -> bool:
+        """Tell whether its place is a joint; a link may have the name of one."""
+        return self.where in body.joints
+
     @property
     def is_calibration(self) -> bool:
         """Tell whether Gauss-Newton fits the effect, which then has no columns of its own."""

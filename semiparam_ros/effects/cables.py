@@ -46,6 +46,9 @@ class _Cable(AtPoint):
     def permitted(cls, body: RigidBody) -> Sequence[str | None]:
         return (*super().permitted(body), *body.joints)
 
+    def at_joint(self, body: RigidBody) -> bool:
+        return body.outputs == 'wrench' and self.where in body.joints
+
 
 class CableSpring(_Cable):
     """A spring: at a link its force is affine in position, along a joint its wrench is linear in the angle.
@@ -70,7 +73,7 @@ class CableSpring(_Cable):
         return super().permitted(body) if body.outputs == 'wrench' else observed_links(body)
 
     def coefficients(self, body: RigidBody) -> tuple[Coefficient, ...]:
-        if self._at_joint(body):
+        if self.at_joint(body):
             angle = body.joint_unit(self.where, 'rad')
             return tuple(Coefficient(f'stiffness_{name}', f'{unit}/{angle}')
                          for name, unit in zip(CHANNELS, body.output_units, strict=True))
@@ -78,7 +81,7 @@ class CableSpring(_Cable):
         return (*(Coefficient(f'force_{axis}', 'N') for axis in 'xyz'), *stiffnesses)
 
     def basis(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[Array, Memory]:
-        if self._at_joint(body):
+        if self.at_joint(body):
             return samples.position[:, joint_index(body, self.where), None, None] * np.eye(len(CHANNELS)), None
         motion = self.motion(body, samples)
         forces = np.zeros((len(samples), 3, 9))
@@ -87,10 +90,6 @@ class CableSpring(_Cable):
             forces[:, i, column] = -motion.position[:, j]
             forces[:, j, column] = -motion.position[:, i]
         return motion.force_map @ forces, None
-
-    def _at_joint(self, body: RigidBody) -> bool:
-        """Tell whether its place is a joint: that of efforts is a link, which may have a joint's name."""
-        return body.outputs == 'wrench' and self.where in body.joints
 
 
 class CableHysteresis(_Cable):
@@ -129,23 +128,23 @@ class CableHysteresis(_Cable):
 
     def check(self, body: RigidBody) -> None:
         super().check(body)
-        if self.where in body.joints and not self.parameters.keys().isdisjoint(ANCHOR):
+        if self.at_joint(body) and not self.parameters.keys().isdisjoint(ANCHOR):
             raise SemiparamError(f"effect '{self.kind}' has a direction at the joint {self.where}; expected one at a "
                                  'link alone.')
 
     def unit_of(self, name: str, body: RigidBody | None = None) -> str:
         if body is None or name != 'slip':
             return super().unit_of(name, body)
-        return body.joint_unit(self.where, 'rad') if self.where in body.joints else 'm'
+        return body.joint_unit(self.where, 'rad') if self.at_joint(body) else 'm'
 
     def coefficients(self, body: RigidBody) -> tuple[Coefficient, ...]:
-        if self.where in body.joints:
+        if self.at_joint(body):
             return tuple(Coefficient(name, unit) for name, unit in zip(CHANNELS, body.output_units, strict=True))
         return (Coefficient('force', 'N'),)
 
     def basis(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[Array, Memory]:
         slip = self.value('slip', 0.1)
-        if self.where in body.joints:
+        if self.at_joint(body):
             travel = samples.position[:, joint_index(body, self.where), None]
             state, memory = dahl_state(travel, slip, memory)
             return state[:, :, None] * np.eye(len(CHANNELS)), memory

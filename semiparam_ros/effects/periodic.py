@@ -40,6 +40,9 @@ class PeriodicDisturbance(Effect):
     def permitted(cls, body: RigidBody) -> Sequence[str | None]:
         return (*_own_axes(body), *observed_links(body))
 
+    def at_joint(self, body: RigidBody) -> bool:
+        return self.where in _own_axes(body)
+
     def desired(self) -> Absent:
         """Return its mean over all phases, zero: the phase at that time is not known."""
         return Absent(self)

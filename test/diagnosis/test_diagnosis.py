@@ -41,7 +41,18 @@ from semiparam_ros.settings import Settings, load_params
 from semiparam_ros.settings.build import build_rigid_body
 from semiparam_ros.simulation.scenario import EffectRequest, Scenario
 from semiparam_ros.simulation.simulate import simulate
-from support.arms import ICUB_JOINTS, ICUB_OWN, ICUB_SENSOR, ODD_ARM, ODD_JOINTS, as_recorded, icub, smooth_motion
+from support.arms import (
+    ICUB_JOINTS,
+    ICUB_OWN,
+    ICUB_SENSOR,
+    ODD_ARM,
+    ODD_JOINTS,
+    TWO_ARMS,
+    TWO_ARMS_JOINTS,
+    as_recorded,
+    icub,
+    smooth_motion,
+)
 from support.node_helpers import BODY as SMALL_ARM
 from support.node_helpers import motion
 
@@ -774,6 +785,17 @@ def test_a_large_gain_is_settled_by_gauss_newton():
     samples = replace(MOTION, outputs=CoupledColumns(BODY, [gain.with_values(gain_ty=-0.56)]).batch(MOTION)[0] @ theta)
     settled = declare(state_of(samples, [gain.with_values(gain_ty=-0.62)]), []).effects[0]
     assert settled.without_common_gain().value('gain_ty') == pytest.approx(-0.56, abs=1e-3)
+
+
+def test_a_force_has_a_point_of_application_whatever_links_are_called():
+    """At a link with a joint's name it acted at the link's origin, and a second force made up for that."""
+    body = RigidBody.from_urdf(TWO_ARMS.replace('b_fore', 'b_elbow'), TWO_ARMS_JOINTS, 'effort')
+    motion, point = smooth_motion(5, 800), {'x': 0.1, 'y': 0.0, 'z': 0.25}
+    exact, force = body.outputs_of(motion, body.base_parameters), kinds()['external_force']('b_elbow', point)
+    noise = 0.01 * exact.std(axis=0) * np.random.default_rng(0).standard_normal(exact.shape)
+    outputs = exact + noise + force.columns(body, motion, None)[0] @ [3.0, -2.0, 5.0]
+    (found,) = diagnose(body, replace(motion, outputs=outputs), only=('external_force',)).findings
+    assert found.effect.where == 'b_elbow' and found.effect.parameters == pytest.approx(point, abs=2e-3)
 
 
 def test_calibrations_are_refined_however_little_their_linear_approximation_explains(friction):

@@ -151,7 +151,7 @@ def _weighed(fit: Fit, trial: Trial) -> Fit:
 def _at_best_link(fit: Fit, trial: Trial) -> Trial:
     """The trial at whichever link of the same body explains most, where the kind moves the outputs there."""
     where = trial.effect.where
-    if where is None or where in fit.body.joints or not trial.effect.refine_link:
+    if where is None or trial.effect.at_joint(fit.body) or not trial.effect.refine_link:
         return trial
     moved = [_linear_trial(fit, replace(trial.effect, where=link)) for link in links_beside(fit.body, where)[1:]]
     return min([trial, *moved], key=lambda tried: squared_loss(fit, tried))
@@ -159,7 +159,7 @@ def _at_best_link(fit: Fit, trial: Trial) -> Trial:
 
 def _at_best_point(fit: Fit, trial: Trial) -> Trial:
     """The trial at the point of its body that explains most, by Gauss-Newton, if that is worth the parameters."""
-    if not POINT.keys() <= trial.effect.parameter_units.keys() or trial.effect.where in fit.body.joints:
+    if not POINT.keys() <= trial.effect.parameter_units.keys() or trial.effect.at_joint(fit.body):
         return trial
     best = trial
     for _ in range(fit.config.newton_steps):
