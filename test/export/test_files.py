@@ -85,7 +85,7 @@ def test_a_lighter_tool_is_no_load_that_is_not_there(estimate):
     mean = columns.expected
     mean[columns.blocks['0']] = [-0.1, 0.0, 0.0, 0.0, -1e-3, 0.0, -1e-3, 0.0, 0.0, -1e-3]
     known = Estimate(columns, mean, 1e8 * np.eye(len(mean)), 'a table', np.full(4, SPEED))
-    with pytest.raises(SemiparamError, match='tool_exchange@r_hand.* takes away what no load can'):
+    with pytest.raises(SemiparamError, match=r'tool_exchange@r_hand.* takes away what no load can'):
         identify(known, described_links(URDF))
 
 
