@@ -15,7 +15,15 @@ from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array, Mask
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
 from semiparam_ros.diagnosis.data.outliers import excluded, gaps, margin, untouched, working_factor
-from semiparam_ros.diagnosis.data.recordings import alone, beside_breaks, own_offsets, own_time, present, whole_groups
+from semiparam_ros.diagnosis.data.recordings import (
+    alone,
+    beside_breaks,
+    breaks_s,
+    own_offsets,
+    own_time,
+    present,
+    whole_groups,
+)
 from semiparam_ros.diagnosis.data.splits import interleaved_split, ranges
 from semiparam_ros.diagnosis.evaluation import Evaluation, evaluate_here, evaluate_there
 from semiparam_ros.diagnosis.findings import Finding, declared_findings, findings, places_in
@@ -315,10 +323,11 @@ def _first_model(body: RigidBody, samples: Samples, effects: Sequence[Effect],
 
 def _decided(final: Fit, steps: list[Step], start: _Start) -> Mask:
     """(M,) the held-out samples of which the final model can say what acts on them: not those between samples that
-    fitted where an effect began or ended, for nothing told when. All of them where none is left."""
-    decided, fitting = start.held_out.copy(), np.flatnonzero(start.fitting)
+    fitted where an effect began or ended, for nothing told when, unless with a recording. All of them where none is
+    left."""
+    decided, fitting, breaks = start.held_out.copy(), np.flatnonzero(start.fitting), breaks_s(final.samples)
     for effect in (final.effects[index] for index, _ in places_in(final, steps)):
-        for time_s in effect.span.values.values():
+        for time_s in set(effect.span.values.values()).difference(breaks):
             after = int(np.searchsorted(final.samples.time[fitting], time_s))
             if 0 < after < len(fitting):
                 decided[fitting[after - 1]:fitting[after]] = False

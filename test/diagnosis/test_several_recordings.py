@@ -65,6 +65,7 @@ def test_a_load_in_some_of_the_recordings_is_found_there(outputs, loaded):
     assert found.as_dict()['effects'][0]['recordings'] == list(there)
     assert any(f', in {" and ".join(there)} (' in line for line in text_report(found))
     assert [found.lasts(effect) for effect in found.final.effects if effect.kind == 'payload'] == [2 in loaded]
+    assert (found.judged == found.held_out).all(), 'what begins with a recording begins at a known time'
 
 
 def test_the_page_of_several_recordings_holds_their_offsets_for_no_effects():
