@@ -17,7 +17,7 @@ from typing import IO, Any, NamedTuple, TypeAlias, cast
 import numpy as np
 
 from semiparam_ros.atomic_write import remove_leftovers, replacing
-from semiparam_ros.core.columns import Memories, Memory
+from semiparam_ros.core.columns import CoupledColumns, Memories, Memory
 from semiparam_ros.core.estimator import Estimator, EstimatorState
 from semiparam_ros.core.hyperparameters.estimation import Hyperparameters
 from semiparam_ros.core.motion import Motion
@@ -34,6 +34,7 @@ from semiparam_ros.online.history import SampleBatch, arrays_of, batch_from
 from semiparam_ros.online.learning import Learning, observe
 from semiparam_ros.online.model_jobs import Known, known_of, new_estimator
 from semiparam_ros.online.renewal import Renewal
+from semiparam_ros.settings.build import declared_effects
 from semiparam_ros.settings.parameter_table import shown
 from semiparam_ros.settings.rules import broken_rule
 from semiparam_ros.settings.snapshot import Settings
@@ -425,6 +426,7 @@ def _estimator(settings: Settings, body: RigidBody, arrays: Mapping[str, Array],
         hyperparameters, mean, scale, window = meta['known']
         known = Known(_hyperparameters(hyperparameters, _group(arrays, 'recursion')), tuple(mean), tuple(scale),
                       _count(window))
+    _check_effects(settings, body, arrays['recursion.information'])
     estimator = new_estimator(settings, body, known)
     if arrays['inputs_learnt'].shape not in (estimator.inputs_learnt.shape, (2, 3 * body.n_joints)):
         raise ValueError(f"'inputs_learnt' has shape {arrays['inputs_learnt'].shape}")
@@ -438,6 +440,14 @@ def _estimator(settings: Settings, body: RigidBody, arrays: Mapping[str, Array],
                                      _unstacked(_group(arrays, 'motion'), body),
                                      _group(arrays, 'kept'), _group(arrays, 'carried'), _group(arrays, 'average')))
     return estimator
+
+
+def _check_effects(settings: Settings, body: RigidBody, information: Array) -> None:
+    """Raise ValueError for effects of more columns than the model has: none may make it larger than the file."""
+    count = CoupledColumns(body, declared_effects(settings)).n_effects
+    if information.ndim != 2 or min(information.shape) <= count:
+        raise ValueError(f"its effects have {count} columns, which 'recursion.information' of shape "
+                         f'{information.shape} does not hold')
 
 
 def _temperature(arrays: Mapping[str, Array]) -> Array:

@@ -7,6 +7,7 @@ import pickle
 import subprocess
 import sys
 import threading
+import tracemalloc
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -510,6 +511,19 @@ def test_sizes_are_checked_before_anything_is_unpacked(tmp_path):
     path.write_bytes(longer)
     with pytest.raises(SemiparamError, match=r'bytes for an array \(1.., ?999\)'):
         state_file.load(path, SETTINGS, BODY)
+
+
+def test_a_file_that_names_many_effects_makes_no_large_model(tmp_path):
+    """Room grows with the square of their columns: two thousand, half a megabyte of text, took gigabytes."""
+    path, arrays = tmp_path / 's.npz', state_file.snapshot(stage_of(SETTINGS, motion(70)).learner.state()).arrays()
+    meta = json.loads(str(arrays['meta']))
+    meta['settings']['effects'] = [f'payload@ft{{"start_s": {second}.0}}' for second in range(120)]
+    np.savez(path, **arrays | {'meta': np.array(json.dumps(meta))})
+    tracemalloc.start()
+    with pytest.raises(SemiparamError, match='its effects have 1200 columns'):
+        state_file.load(path, SETTINGS, BODY)
+    assert tracemalloc.get_traced_memory()[1] < 10e6
+    tracemalloc.stop()
 
 
 WRONG_ARRAYS = {
