@@ -149,7 +149,7 @@ def _from_bag(args: argparse.Namespace, description: str | None) -> list[str]:
 
 def _pairs(texts: Sequence[str], optional: bool = False) -> dict[str, str]:
     """Dictionary of 'OLD=NEW' texts; with ``optional`` a lone 'OLD' keeps its name."""
-    pairs = {}
+    pairs = dict[str, str]()
     for text in texts:
         old, equals, new = (part.strip() for part in text.partition('='))
         if not old or bool(equals) is not bool(new) or not (new or optional):

@@ -4,6 +4,7 @@ real one does.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -49,10 +50,11 @@ def _deformed(body: pin.Inertia, factor: float, deformation: Array) -> pin.Inert
 
 def arm_of(scenario: Scenario) -> Arm:
     """The arm as the URDF describes it; the package's own iCub arm when no URDF is given."""
-    if scenario.urdf is None:
-        urdf, every, frame = bundled_urdf().read_text(), ICUB_JOINTS, scenario.sensor_frame or ICUB_SENSOR
+    urdf, frame = scenario.urdf, scenario.sensor_frame
+    every: Sequence[str] = ICUB_JOINTS
+    if urdf is None:
+        urdf, frame = bundled_urdf().read_text(), frame or ICUB_SENSOR
     else:
-        urdf, frame = scenario.urdf, scenario.sensor_frame
         every = urdf_edit.turning_joints(urdf_edit.parse(urdf))
     joints = scenario.joints or tuple(name for name in every if name not in dict(scenario.locked))
     return Arm.from_urdf(urdf, joints, scenario.outputs, frame, scenario.convention, scenario.locked)

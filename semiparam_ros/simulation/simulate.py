@@ -76,8 +76,8 @@ def check_effect(effect: EffectRequest, scenario: Scenario) -> None:
     if effect.end_s is not None and not cause.can_end:
         raise SemiparamError(f"effect '{effect.kind}' stays; it cannot have an end.")
     if effect.end_s is not None and not (np.isfinite(effect.end_s) and effect.end_s > (effect.start_s or 0.0)):
-        raise SemiparamError(f"end {effect.end_s} s of effect '{effect.kind}' is out of range; expected a number above "
-                             'its start.')
+        raise SemiparamError(f"end {effect.end_s} s of effect '{effect.kind}' is out of range; expected more than its "
+                             'start, and a finite number.')
     if effect.start_s is not None and not 0 <= effect.start_s < scenario.samples / scenario.rate_hz:
         raise SemiparamError(f"start {effect.start_s} s of effect '{effect.kind}' lies outside the recording of "
                              f'{scenario.samples / scenario.rate_hz:g} s.')
