@@ -40,6 +40,9 @@ class MergedBag(BagReader):
         if before.type != info.type:
             raise SemiparamError(f'topic {topic} holds {info.type} in {str(reader.path)!r} but {before.type} in '
                                  'another bag: they cannot be merged.')
+        if before.encoding != info.encoding:
+            raise SemiparamError(f'topic {topic} is encoded as {info.encoding!r} in {str(reader.path)!r} but '
+                                 f'{before.encoding!r} in another bag: they cannot be merged.')
         offers = before.offers + info.offers
         return replace(before, count=before.count + info.count, offers=offers, qos=qos.agreed(offers))
 

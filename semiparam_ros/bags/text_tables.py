@@ -25,6 +25,7 @@ from semiparam_ros.settings.yaml_file import read_yaml
 TIME_UNITS = {'s': NANOSECONDS, 'ms': 10**6, 'us': 10**3, 'ns': 1}
 PER_JOINT = ('position', 'velocity', 'acceleration', 'effort')
 WIDTHS = {'time': 1, 'force': 3, 'torque': 3}
+MOST_COLUMNS = 10_000
 
 _LATEST_STAMP = 2**31 * NANOSECONDS  # a builtin_interfaces/Time has 31 bits of seconds
 
@@ -100,11 +101,13 @@ def parse_columns(text: object) -> tuple[int | str, ...]:
     for part in filter(None, (part.strip() for part in str(text).split(','))):
         array, colon, numbers = part.rpartition(':')
         first, dash, last = numbers.partition('-')
-        if dash and first.strip().isdigit() and last.strip().isdigit():
+        if dash and first.strip().isdecimal() and last.strip().isdecimal():
             span = range(int(first), int(last) + 1)
+            if not 0 < len(span) <= MOST_COLUMNS:
+                raise SemiparamError(f'{part!r} names {len(span)} columns; expected 1 to {MOST_COLUMNS}.')
             found += [f'{array}:{number}' for number in span] if colon else span
         else:
-            found.append(int(part) if part.isdigit() else part)
+            found.append(int(part) if part.isdecimal() else part)
     return tuple(found)
 
 

@@ -126,7 +126,10 @@ class Program:
 
 def demonstrate(args: argparse.Namespace) -> None:
     """Play, judge, compare, diagnose, and follow a change."""
-    args.output.mkdir(parents=True, exist_ok=True)
+    try:
+        args.output.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise SemiparamError(f'{args.output} cannot be made a folder: {error.strerror}.') from error
     settings = load_params(args.params)
     bag = load_samples(args.bag, settings)
     live, recording = f'{settings.variant} live', args.output / 'live.mcap'

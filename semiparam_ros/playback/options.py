@@ -13,6 +13,7 @@ from semiparam_ros.playback.player import checked_rate
 from semiparam_ros.playback.timeline import Cut, Selection
 
 DEFAULT_FOLLOW = '/estimator/residual'
+FASTEST_CLOCK_HZ = 1e4
 
 
 @dataclass(frozen=True)
@@ -74,8 +75,9 @@ class ReplayOptions:
             raise SemiparamError('a playback as fast as it is followed needs a follower.')
         if self.restamp and self.follow is not None:
             raise SemiparamError('restamped messages cannot be followed: answers are told by the stamps of the bag.')
-        if self.clock_hz is not None and not 0.0 < self.clock_hz < float('inf'):
-            raise SemiparamError(f'the clock rate must be above 0 Hz, got {self.clock_hz:g}.')
+        if self.clock_hz is not None and not 0.0 < self.clock_hz <= FASTEST_CLOCK_HZ:
+            raise SemiparamError(f'the clock rate must be above 0 Hz and at most {FASTEST_CLOCK_HZ:g} Hz, got '
+                                 f'{self.clock_hz:g}.')
         if self.order not in ORDERS:
             raise SemiparamError(f"the order '{self.order}' is unknown: expected one of {', '.join(ORDERS)}.")
         for what in ('delay_s', 'wait_s', 'wait_for_all_acked_s', 'wait_for_subscribers'):

@@ -165,11 +165,12 @@ def tools_are_bodies(table: Table) -> str | None:
 
 
 def state_file_is_a_plain_name(table: Table) -> str | None:
-    """Whoever sets it can reach no other folder, and no hidden file."""
-    if re.fullmatch(r'[A-Za-z0-9_][A-Za-z0-9_.-]{0,95}\.npz', table.state_file):
+    """Whoever sets it can reach no other folder, no hidden file, and no checkpoint."""
+    if re.fullmatch(r'(?!.*\.checkpoint\.)[A-Za-z0-9_][A-Za-z0-9_.-]{0,95}\.npz', table.state_file):
         return None
     return (f'state_file is {shown(table.state_file)}; expected a plain name such as arm.npz: at most 100 letters, '
-            'digits, dots, dashes and underscores, with .npz at the end (state_folder names the folder).')
+            'digits, dots, dashes and underscores, with .npz at the end, and no name of a checkpoint '
+            '(state_folder names the folder).')
 
 
 RULES: tuple[Callable[[Table], str | None], ...] = (

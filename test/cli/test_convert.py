@@ -11,6 +11,7 @@ from scipy.io import savemat
 from semiparam_ros.bags.loading import load_samples
 from semiparam_ros.bags.reader import open_bag
 from semiparam_ros.bags.text_tables import parse_columns
+from semiparam_ros.errors import SemiparamError
 from semiparam_ros.settings.snapshot import Settings
 from support.commands import refusal, semiparam
 
@@ -348,6 +349,13 @@ def test_header_stamps_can_come_from_the_log(tmp_path):
 
 @pytest.mark.parametrize(('text', 'columns'), [
     ('1-4', (1, 2, 3, 4)), ('1, 3,5-6', (1, 3, 5, 6)), ('q-1,q2', ('q-1', 'q2')), (3, (3,)), ([1, '2-3'], (1, 2, 3)),
+    ('\u00b2', ('\u00b2',)),
 ])
 def test_columns_are_numbers_ranges_or_names(text, columns):
     assert parse_columns(text) == columns
+
+
+@pytest.mark.parametrize('text', ['1-99999999999', '5-4'])
+def test_a_range_of_no_column_or_of_more_than_a_table_has_is_refused(text):
+    with pytest.raises(SemiparamError, match=f"'{text}' names .* columns; expected 1 to 10000"):
+        parse_columns(text)

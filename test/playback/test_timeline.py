@@ -195,6 +195,7 @@ def test_unknown_types_are_named(name, sentence):
     ({'order': 'time'}, 'expected one of log, publish, header'),
     ({'delay_s': -1.0}, 'delay must not be negative'),
     ({'clock_hz': 0.0}, 'clock rate must be above 0 Hz'),
+    ({'clock_hz': 1e12}, 'at most 10000 Hz, got 1e\\+12'),
     ({'bags': ()}, 'expected at least one'),
 ])
 def test_options_that_make_no_sense_are_refused(options, sentence):

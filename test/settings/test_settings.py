@@ -141,6 +141,11 @@ BROKEN = {
 }
 
 
+def test_a_state_file_has_no_name_of_a_checkpoint():
+    """~/save_state and a checkpoint would write the same file in two threads."""
+    assert 'no name of a checkpoint' in broken_rule(WRENCH.changed({'state_file': 'estimator.checkpoint.npz'}))
+
+
 @pytest.mark.parametrize('rule', RULES, ids=lambda rule: rule.__name__)
 def test_every_rule_holds_by_default_and_can_be_broken(rule):
     assert rule(WRENCH) is None

@@ -67,6 +67,6 @@ class RecordOptions:
 def parse_count(text: str) -> tuple[int, str | None]:
     """Parse ``N`` or ``TOPIC=N``."""
     topic, _, number = text.rpartition('=')
-    if not number.isdigit():
+    if not number.isdecimal():
         raise SemiparamError(f"'{text}' is no count: expected N or TOPIC=N.")
     return int(number), topic or None
