@@ -77,6 +77,8 @@ class KnownEffect:
     """Whether it is taken off now: as ``applied``, or already otherwise."""
     remembered: bool = False
     """It was applied before, and is over."""
+    taken_back: int = 0
+    """Counts those that were taken back, in that order; 0 where it never was."""
     score: float = 0.0
     """g [nat]"""
     since: int = 0
@@ -332,13 +334,14 @@ class AppliedEffects:
             trial.begun = now
         else:
             trial.remembered, trial.squares = True, np.zeros((2, 1))
+            trial.taken_back = 1 + max(other.taken_back for other in self.trials)
             if now - trial.begun < CONTACT_S * NANOSECONDS and not trial.effect.is_load:
                 self._keep(other for other in self.trials if other is not trial)
         for other in self.trials:
             other.score = 0.0
-        over = [other for other in self.trials if other.remembered and not other.applied]
-        forgotten = over[:-REMEMBERED]
-        self._keep(other for other in self.trials if other not in forgotten)
+        over = [other.taken_back for other in self.trials if other.remembered and not other.applied]
+        forgotten = sorted(over)[:-REMEMBERED]
+        self._keep(other for other in self.trials if other.applied or other.taken_back not in forgotten)
 
     def unsupported(self) -> list[KnownEffect]:
         """Those for which nothing has spoken as long as one is tried."""
@@ -349,9 +352,10 @@ class AppliedEffects:
         ]
 
     def state(self) -> Memory:
-        """What :meth:`restore` takes back: what is applied or remembered, and what was taken off. One
-        that is provisional is noticed anew."""
+        """What :meth:`restore` takes back: what is applied or remembered, in the order in which it was taken back, and
+        what was taken off. One that is provisional is noticed anew."""
         kept = [trial for trial in self.trials if trial.applied or trial.remembered]
+        kept.sort(key=lambda trial: trial.taken_back)
         taken_off, load = self.contributions, self.provisional
         if load is not None:  # the model that is restored goes on without it
             taken_off = _ended(taken_off, Payload(load.link), load.parameters, self._stamp)
@@ -382,7 +386,8 @@ class AppliedEffects:
             if type(on) is not bool:
                 raise ValueError(f"whether '{text}' is applied is {on!r}")
             (effect, values), (_, std) = (self._contribution(text, row) for row in theta)
-            self.trials.append(KnownEffect(-1 - number, effect, values, std, on, acting=on, remembered=not on))
+            self.trials.append(KnownEffect(-1 - number, effect, values, std, on, acting=on, remembered=not on,
+                                           taken_back=1 + number))
         self.contributions = [self._contribution(text, theta) for text, theta in taken_off]
         self._changed()
 

@@ -17,6 +17,7 @@ from semiparam_ros.online.feedforward import Feedforward
 from semiparam_ros.online.identified_parameters import Load
 from semiparam_ros.online.learning import Learning
 from semiparam_ros.online.model_jobs import build
+from support.arms import icub
 from support.changing_arm import LOADED_S, caught, exchanged, free, loaded, offered, pushed, turned
 from support.loaded_stage import begun
 
@@ -551,3 +552,19 @@ def test_one_that_is_remembered_keeps_none_from_being_taken_back_when_nothing_is
     block.added[1] = np.stack([np.full(n, -50.0), np.full(n, 1.0)])
     assert applied.judge(block, 1.0, 600.0, applies=False) is applied.trials[1]
     assert applied.judge(block, 1.0, 600.0) is applied.trials[0]
+
+
+@pytest.mark.parametrize('saved', [False, True])
+def test_the_last_four_that_were_taken_back_are_remembered_whichever_was_named_first(saved):
+    """Of four tools the first came again and was put down, and with a fifth one it was the one that was forgotten."""
+    body = icub()
+    applied, ones, second = AppliedEffects(body), np.ones(10), 10**9
+    for turn, mass in enumerate((1.0, 2.0, 3.0, 4.0, 1.0, 5.0)):
+        known = {trial.coefficients[0]: trial.number for trial in applied.trials}
+        number, begun = known.get(mass, 100 + turn), 20 * turn * second
+        applied.offer(number, effect_from_text(f'payload@{last_link(body)}'), mass * ones, ones, begun)
+        for now in (begun, begun + 8 * second):  # applied, and taken back
+            applied.switch(applied.of_change(number), now)
+        if saved:
+            applied.restore(applied.state())
+    assert sorted(trial.coefficients[0] for trial in applied.trials) == [1.0, 3.0, 4.0, 5.0]
