@@ -28,14 +28,14 @@ predicted so while it lasts, and neither told nor learnt.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple, cast
 
 import numpy as np
 
 from semiparam_ros.core.alternative import Alternative
-from semiparam_ros.core.columns import CoupledColumns, Memories, Memory
+from semiparam_ros.core.columns import ColumnBlock, CoupledColumns, Memories, Memory
 from semiparam_ros.core.robot.frames import load_in_base
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Sample, Samples
@@ -61,6 +61,13 @@ class Contribution(NamedTuple):
 
     effect: Effect
     coefficients: Array
+    shaping: tuple[Effect, ...] = ()
+    """Declared effects that shaped its columns."""
+
+    def outputs(self, body: RigidBody, corrected: tuple[RigidBody, Samples]) -> Array:
+        """(N, n) what it adds to samples, which the shaping effects have corrected."""
+        columns = CoupledColumns(body, (*self.shaping, self.effect))
+        return np.asarray(columns.of_effect(len(self.shaping), *corrected) @ self.coefficients)
 
 
 @dataclass
@@ -95,6 +102,8 @@ class KnownEffect:
     """(n,) ``shares`` when it was last there, and nothing spoke against it."""
     otherwise: Alternative = field(default_factory=Alternative)
     """Evidence that it went, or came again, sample by sample."""
+    shaping: tuple[Effect, ...] = ()
+    """Declared effects beside which it was named, which shape its columns."""
 
     @property
     def share(self) -> float:
@@ -122,11 +131,23 @@ class AppliedEffects:
         self.provisional_added: Array = np.zeros(body.n_outputs)
         """(n,) what that adds to the newest sample."""
         self._stamp = 0
-        self._newest: Array = np.zeros((body.n_outputs, 0))
         self.added: Array = np.zeros((0, body.n_outputs))
         """(m, n) k of each trial, of the newest sample."""
-        self._columns = CoupledColumns(body)
-        self._memory: Memories = None
+        self._declared: Sequence[ColumnBlock] = ()
+        self._shaping: tuple[Effect, ...] = ()
+        """Declared effects that shape what is named from now on."""
+        self._changed()
+
+    def shaped_by(self, declared: Sequence[ColumnBlock]) -> None:
+        """Let what is named from now on be shaped as the model's own columns are, by the effects that it declares: a
+        gain of the sensor multiplies a load too."""
+        if declared is self._declared:
+            return
+        self._declared = declared
+        shaping = tuple(effect for effect in declared if isinstance(effect, Effect) and not effect.only_adds)
+        if shaping != self._shaping:
+            self.assume(None)
+            self._shaping = shaping
 
     @property
     def applied(self) -> list[KnownEffect]:
@@ -160,16 +181,16 @@ class AppliedEffects:
         if before is not None:
             self._end_contribution(Payload(before.link), before.parameters, self._stamp)
         if load is not None:
-            self._begin_contribution(Payload(load.link), load.parameters, self._stamp)
+            self._begin_contribution(Payload(load.link), load.parameters, self._stamp, self._shaping)
         if before is not None or load is not None:
             self._changed()
 
     def reset(self) -> None:
         """Forget what effects remember and what speaks for a switch, as after a jump of the clock;
         what is applied stays, and is taken off all samples from now on."""
-        self._memory = None
+        self._memory = [None] * len(self._columns)
         self.assume(None)
-        self.contributions = [Contribution(each.effect, each.coefficients) for each in self.applied]
+        self.contributions = [Contribution(each.effect, each.coefficients, each.shaping) for each in self.applied]
         for trial in self.trials:
             trial.score, trial.begun, trial.acting = 0.0, 0, trial.applied
             trial.otherwise.clear()
@@ -179,9 +200,9 @@ class AppliedEffects:
         self._stamp = sample.stamp
         if not self.trials and self.provisional is None:
             return sample, None
-        columns, self._memory = self._columns.one(sample, 0, self._memory)
-        self._newest = columns
-        self.added, self.provisional_added = self._added(columns)
+        found = [columns.one(sample, 0, memory) for columns, memory in zip(self._columns, self._memory, strict=True)]
+        self._newest, self._memory = [each[0] for each in found], [each[1] for each in found]
+        self.added, self.provisional_added = self._added(self._newest)
         if not self.acts:
             return sample, None
         total = self._of_acting(self.added) + self.provisional_added
@@ -190,10 +211,8 @@ class AppliedEffects:
     def desired(self, position: Array, velocity: Array, acceleration: Array) -> tuple[Array, Array]:
         """(n,) what is applied adds to a desired state, as the sensor shows it, and as the arm needs
         it."""
-        both = [
-            self._added(columns)
-            for columns in self._columns.desired(position, velocity, acceleration, 0, 0)
-        ]
+        found = [columns.desired(position, velocity, acceleration, 0, 0) for columns in self._columns]
+        both = [self._added([each[number] for each in found]) for number in range(2)]
         shown, needed = (self._of_acting(added) + more for added, more in both)
         return shown, needed
 
@@ -202,9 +221,9 @@ class AppliedEffects:
         """(n,) standard deviation of what is applied, as it was told, for the newest sample: that of theta, and what
         errors of the inputs leave of k, which grows with k; its share is measured."""
         variance = np.zeros(self._body.n_outputs)
-        for (block, trial), added in zip(self._blocks(), self.added, strict=True):
+        for (group, block), trial, added in zip(self._places, self.trials, self.added, strict=False):
             if trial.applied:
-                of_theta = (self._newest[:, block] ** 2) @ trial.std**2
+                of_theta = (self._newest[group][:, block] ** 2) @ trial.std**2
                 variance += of_theta + (trial.shares * added) ** 2
         return np.sqrt(variance)
 
@@ -230,7 +249,7 @@ class AppliedEffects:
         """[ns] since when it has been taken off, or was last; ``otherwise`` where that is not known."""
         starts = [
             effect.span.start_stamp_s
-            for effect, values in self.contributions
+            for effect, values, _ in self.contributions
             if effect.without_span() == trial.effect and np.array_equal(values, trial.coefficients)
         ]
         return otherwise if not starts or starts[-1] is None else round(starts[-1] * NANOSECONDS)
@@ -243,15 +262,16 @@ class AppliedEffects:
         in which blocks have what it adds."""
         effect, known = effect.without_span(), self.of_change(number)
         if known is None or not (known.applied or known.remembered):
-            tried = KnownEffect(number, effect, coefficients, std, since=now)
+            tried = KnownEffect(number, effect, coefficients, std, since=now, shaping=self._shaping)
             kept = [tried if trial is known else trial for trial in self.trials]
             self._keep(kept if known is not None else [*kept, tried])
             return True
         if (known.effect.kind, known.effect.where) == (effect.kind, effect.where):
             if known.acting:
                 self._end_contribution(known.effect, known.coefficients, now)
-                self._begin_contribution(effect, coefficients, now)
+                self._begin_contribution(effect, coefficients, now, self._shaping)
             known.effect, known.coefficients, known.std = effect, coefficients, std
+            known.shaping = self._shaping
             self._changed()
         return False
 
@@ -290,7 +310,7 @@ class AppliedEffects:
         """Take it off from the sample after ``now`` [ns] on, or no more."""
         trial.acting = not trial.acting
         if trial.acting:
-            self._begin_contribution(trial.effect, trial.coefficients, now)
+            self._begin_contribution(trial.effect, trial.coefficients, now, trial.shaping)
         else:
             self._end_contribution(trial.effect, trial.coefficients, now)
         for other in self.trials:
@@ -363,14 +383,14 @@ class AppliedEffects:
             if trial.acting and not trial.applied:
                 taken_off = _ended(taken_off, trial.effect, trial.coefficients, self._stamp)
             elif trial.applied and not trial.acting:
-                taken_off = [*taken_off, _begun(trial.effect, trial.coefficients, self._stamp)]
+                taken_off = [*taken_off, _begun(trial.effect, trial.coefficients, self._stamp, trial.shaping)]
         return {
             'effects': tuple(effect_to_text(trial.effect) for trial in kept),
             'coefficients': tuple(np.array([trial.coefficients, trial.std]) for trial in kept),
             'applied': tuple(trial.applied for trial in kept),
             'taken_off': tuple(
                 (effect_to_text(effect), coefficients.copy())
-                for effect, coefficients in taken_off
+                for effect, coefficients, _ in taken_off
             ),
         }
 
@@ -385,9 +405,9 @@ class AppliedEffects:
         for number, (text, theta, on) in enumerate(zip(effects, coefficients, applied, strict=True)):
             if type(on) is not bool:
                 raise ValueError(f"whether '{text}' is applied is {on!r}")
-            (effect, values), (_, std) = (self._contribution(text, row) for row in theta)
+            (effect, values, _), (_, std, _) = (self._contribution(text, row) for row in theta)
             self.trials.append(KnownEffect(-1 - number, effect, values, std, on, acting=on, remembered=not on,
-                                           taken_back=1 + number))
+                                           taken_back=1 + number, shaping=self._shaping))
         self.contributions = [self._contribution(text, theta) for text, theta in taken_off]
         self._changed()
 
@@ -402,21 +422,15 @@ class AppliedEffects:
             and bool((np.abs(theta) < LARGEST).all())
         ):
             raise ValueError(f"'{text}' has not {size} coefficients")
-        return Contribution(effect, theta)
+        return Contribution(effect, theta, self._shaping)
 
-    def _added(self, columns: Array) -> tuple[Array, Array]:
-        """(m, n) k of each trial, and (n,) that of the provisional load, by columns (n, c)."""
+    def _added(self, columns: Sequence[Array]) -> tuple[Array, Array]:
+        """(m, n) k of each trial, and (n,) that of the provisional load, by the columns (n, c) of each group."""
         n = self._body.n_outputs
-        each = [columns[:, block] @ trial.coefficients for block, trial in self._blocks()]
-        added, more = np.array(each).reshape(len(each), n), np.zeros(n)
-        if self.provisional is not None:
-            last = self._columns.blocks[str(len(self.trials))]
-            more = columns[:, last] @ self.provisional.parameters
-        return added, more
-
-    def _blocks(self) -> Iterable[tuple[slice, KnownEffect]]:
-        blocks = self._columns.blocks
-        return [(blocks[str(index)], trial) for index, trial in enumerate(self.trials)]
+        of_each = [columns[group][:, block] for group, block in self._places]
+        each = [own @ trial.coefficients for own, trial in zip(of_each, self.trials, strict=False)]
+        more = np.zeros(n) if self.provisional is None else of_each[-1] @ self.provisional.parameters
+        return np.array(each).reshape(len(each), n), more
 
     def _of_acting(self, added: Array) -> Array:
         acting = np.array([trial.acting for trial in self.trials], dtype=float)
@@ -432,16 +446,29 @@ class AppliedEffects:
 
     def _changed(self) -> None:
         """The trials are others: what effects remember begins anew."""
-        effects = [trial.effect for trial in self.trials]
+        effects = [(trial.effect, trial.shaping) for trial in self.trials]
         if self.provisional is not None:
-            effects.append(Payload(self.provisional.link))
-        self._columns, self._memory = CoupledColumns(self._body, effects), None
-        self._newest = np.zeros((self._body.n_outputs, self._columns.n_columns))
+            effects.append((Payload(self.provisional.link), self._shaping))
+        shapings, groups, places = list[tuple[Effect, ...]](), list[list[Effect]](), list[tuple[int, str]]()
+        for effect, shaping in effects:
+            if shaping not in shapings:
+                shapings.append(shaping)
+                groups.append(list(shaping))
+            group = shapings.index(shaping)
+            places.append((group, str(len(groups[group]))))
+            groups[group].append(effect)
+        self._columns = [CoupledColumns(self._body, group) for group in groups]
+        """Of those that are shaped alike, together."""
+        self._places = [(group, self._columns[group].blocks[name]) for group, name in places]
+        """Group and columns of each trial; then of the provisional load."""
+        self._memory: list[Memories] = [None] * len(groups)
+        self._newest: list[Array] = [np.zeros((self._body.n_outputs, each.n_columns)) for each in self._columns]
         self.added = np.zeros((len(self.trials), self._body.n_outputs))
         self.provisional_added = np.zeros(self._body.n_outputs)
 
-    def _begin_contribution(self, effect: Effect, coefficients: Array, now: int) -> None:
-        self.contributions.append(_begun(effect, coefficients, now))
+    def _begin_contribution(self, effect: Effect, coefficients: Array, now: int,
+                            shaping: tuple[Effect, ...]) -> None:
+        self.contributions.append(_begun(effect, coefficients, now, shaping))
         if len(self.contributions) > MOST_CONTRIBUTIONS:  # the first that is over
             ended = [each.effect.ends for each in self.contributions]
             del self.contributions[ended.index(True) if any(ended) else 0]
@@ -450,9 +477,9 @@ class AppliedEffects:
         self.contributions = _ended(self.contributions, effect, coefficients, now)
 
 
-def _begun(effect: Effect, coefficients: Array, now: int) -> Contribution:
+def _begun(effect: Effect, coefficients: Array, now: int, shaping: tuple[Effect, ...]) -> Contribution:
     """The contribution of an effect with these coefficients (c,) that begins at ``now`` [ns]."""
-    return Contribution(replace(effect, span=Span(start_stamp_s=_after(now))), coefficients)
+    return Contribution(replace(effect, span=Span(start_stamp_s=_after(now))), coefficients, shaping)
 
 
 def _ended(
@@ -461,13 +488,13 @@ def _ended(
     """Contributions of which those of an effect with these coefficients (c,) end at ``now`` [ns];
     without those that have just begun."""
     found, end_s = [], _after(now)
-    for begun, values in contributions:
+    for begun, values, shaping in contributions:
         same = np.array_equal(values, coefficients) and begun.without_span() == effect
         if same and not begun.ends:
             if (begun.span.start_stamp_s or 0.0) >= end_s:
                 continue
             begun = replace(begun, span=replace(begun.span, end_stamp_s=end_s))
-        found.append(Contribution(begun, values))
+        found.append(Contribution(begun, values, shaping))
     return found
 
 
@@ -478,7 +505,10 @@ def _after(stamp: int) -> float:
 
 def as_measured(body: RigidBody, samples: Samples, taken_off: Iterable[Contribution]) -> Samples:
     """Samples with what was taken off them added again."""
-    outputs = samples.outputs.copy()
-    for effect, coefficients in taken_off:
-        outputs += effect.columns(body, samples, None)[0] @ coefficients
+    outputs, corrected = samples.outputs.copy(), dict[int, tuple[RigidBody, Samples]]()
+    for each in taken_off:
+        if id(each.shaping) not in corrected:  # regressors are remembered with the samples
+            moved, inputs, _ = CoupledColumns(body, each.shaping).corrected(samples)
+            corrected[id(each.shaping)] = moved, inputs
+        outputs += each.outputs(body, corrected[id(each.shaping)])
     return replace(samples, outputs=outputs)

@@ -137,6 +137,7 @@ class Learner:
         self.gate.forget()
         self.changes.begin()
         self.estimator, self.built = estimator, settings
+        self.changes.applied.shaped_by(estimator.columns.effects)
         self.history = History(settings.initial_samples, settings.retained_samples, self.body.n_joints,
                                estimator.origin)
         if past is not None:
@@ -167,6 +168,7 @@ class Learner:
             sample = sample._replace(outputs=sample.outputs - self.tare.bias)
         measured = sample.outputs
         sample, of_tools = self.tools.taken_off(sample)
+        self.changes.applied.shaped_by(self.estimator.columns.effects)
         sample, of_changes = self.changes.applied.taken_off(sample)
         prediction = self._predict(sample, measured)
         if prediction is None:

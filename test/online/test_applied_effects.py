@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from semiparam_ros.core.columns import CoupledColumns
 from semiparam_ros.core.robot.frames import last_link
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.effects import effect_from_text
@@ -17,7 +18,7 @@ from semiparam_ros.online.feedforward import Feedforward
 from semiparam_ros.online.identified_parameters import Load
 from semiparam_ros.online.learning import Learning
 from semiparam_ros.online.model_jobs import build
-from support.arms import icub
+from support.arms import icub, smooth_motion
 from support.changing_arm import LOADED_S, caught, exchanged, free, loaded, offered, pushed, turned
 from support.loaded_stage import begun
 
@@ -432,7 +433,7 @@ def test_a_state_of_what_had_another_name_before_the_next_sample_is_loaded():
     applied.offer(1, effect, 2.0 * np.arange(6.0), np.zeros(6), int(samples.stamps[5]))
     restored = AppliedEffects(body)
     restored.restore(applied.state())
-    ((_, values),) = restored.contributions
+    ((_, values, _),) = restored.contributions
     assert values.tolist() == [0.0, 2.0, 4.0, 6.0, 8.0, 10.0]
 
 
@@ -568,3 +569,62 @@ def test_the_last_four_that_were_taken_back_are_remembered_whichever_was_named_f
         if saved:
             applied.restore(applied.state())
     assert sorted(trial.coefficients[0] for trial in applied.trials) == [1.0, 3.0, 4.0, 5.0]
+
+
+def gained():
+    """A body, a gain of its sensor that shows 30 % too much beside what only adds, a load and its values."""
+    body = icub()
+    gains = ', '.join(f'"gain_{name}": 0.3' for name in body.output_names)
+    declared = (effect_from_text(f'sensor_gain{{{gains}}}'), effect_from_text('sensor_drift'))
+    samples = smooth_motion(body.n_joints, 7)[1:]
+    samples = replace(samples, outputs=np.zeros((len(samples), body.n_outputs)))
+    return body, declared, effect_from_text(f'payload@{last_link(body)}'), np.array([1.0, *np.zeros(9)]), samples
+
+
+@pytest.mark.parametrize('named', [True, False])
+def test_a_load_is_shaped_by_the_effects_that_the_model_declares(named):
+    """Of a sensor that shows 30 % too much, a load that was named beside that gain was taken off without it."""
+    body, declared, load, theta, samples = gained()
+    applied = AppliedEffects(body)
+    applied.shaped_by(declared)
+    if named:
+        applied.offer(1, load, theta, theta, 0)
+        applied.switch(applied.trials[0], 0)
+    else:
+        applied.assume(Load(last_link(body), theta, np.eye(10)))
+    off = []
+    for sample in samples:
+        columns = CoupledColumns(body, [*declared, load]).one(sample, samples.origin)[0]
+        left, added = applied.taken_off(sample)
+        assert added == pytest.approx(columns[:, -10:] @ theta)
+        off.append(left)
+    again = as_measured(body, Samples.from_list(off), applied.contributions)
+    assert again.outputs == pytest.approx(samples.outputs, abs=1e-9)
+    shown, needed = applied.desired(*sample[1:4])
+    assert shown == pytest.approx(1.3 * needed)
+    restored = AppliedEffects(body)
+    restored.shaped_by(declared)
+    restored.restore(applied.state())
+    assert not named or restored.taken_off(sample)[1] == pytest.approx(added)
+
+
+def test_a_load_keeps_what_it_adds_when_a_gain_is_declared_beside_it():
+    """Its values are from before that; one that is named later is shaped by the gain, also as the name of the same."""
+    body, declared, load, theta, samples = gained()
+    applied, (first, second, third, *_) = AppliedEffects(body), samples
+    applied.offer(1, load, theta, theta, 0)
+    applied.switch(applied.trials[0], 0)
+    plain = [applied.taken_off(sample)[1] for sample in (first, second, third)]
+    off = [applied.taken_off(first)[0]]
+    applied.shaped_by(declared)
+    off.append(applied.taken_off(second)[0])
+    assert -off[-1].outputs == pytest.approx(plain[1])
+    applied.offer(2, load, theta, theta, second.stamp)
+    applied.switch(applied.trials[1], second.stamp)
+    off.append(applied.taken_off(third)[0])
+    assert -off[-1].outputs == pytest.approx(2.3 * plain[2])
+    assert applied.spread == pytest.approx(np.abs(plain[2]) * np.hypot(1.0, 1.3))
+    again = as_measured(body, Samples.from_list(off), applied.contributions)
+    assert again.outputs == pytest.approx(samples.outputs[:3], abs=1e-9)
+    applied.offer(1, load, theta, theta, third.stamp)
+    assert -applied.taken_off(third)[0].outputs == pytest.approx(2.6 * plain[2])

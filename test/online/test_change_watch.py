@@ -723,7 +723,7 @@ def test_a_name_that_comes_after_the_clock_was_set_back_applies_nothing():
     stage.learner.clear_pending()  # as the node does
     watch._named(record.change.number, record.named, None)
     assert watch.applied.applied == [trial]
-    assert [effect.span.start_stamp_s for effect, _ in watch.applied.contributions] == [None]
+    assert [effect.span.start_stamp_s for effect, *_ in watch.applied.contributions] == [None]
 
 
 def test_what_is_applied_keeps_its_name():

@@ -122,7 +122,7 @@ def test_a_load_that_is_put_down_is_not_predicted_any_more_long_before_that_is_t
     applied = stage.learner.changes.applied
     (trial,) = applied.trials
     assert (trial.applied, trial.acting) == (True, False)
-    ended = [effect.span.end_stamp_s for effect, _ in applied.contributions if effect.is_load][-1]
+    ended = [effect.span.end_stamp_s for effect, *_ in applied.contributions if effect.is_load][-1]
     assert 0.0 < ended - samples.origin * 1e-9 - LOADED_S[1] < 0.2
     assert stage.learner.changes.state != 'as it was' and stage.changes[-1].change.ended is None
     measured = as_measured(body, stage.learner.history.batch().samples, applied.contributions)
@@ -170,7 +170,7 @@ def test_a_hand_that_pushes_like_a_load_is_no_load():
     both = replace(samples, outputs=samples.outputs + hand.outputs - free()[1].outputs)
     stage = offered(body, both[both.time < 118.0], diagnosis_auto='apply', gate_enabled=True)
     spans = [(effect.span.start_stamp_s - samples.origin * 1e-9, effect.span.end_stamp_s - samples.origin * 1e-9)
-             for effect, _ in stage.learner.changes.applied.contributions if effect.is_load]
+             for effect, *_ in stage.learner.changes.applied.contributions if effect.is_load]
     assert any(107.9 < begin < 108.5 and end < 113.6 for begin, end in spans)
     at = np.flatnonzero((both.time > 109.0) & (both.time < 112.0))
     weight = np.linalg.norm(hand.outputs[at, :3] - free()[1].outputs[at, :3], axis=1)
