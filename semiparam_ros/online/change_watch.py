@@ -327,6 +327,8 @@ class ChangeWatch:
         self._naming, self._contacts = False, Contacts()
         self._past = 0
         """Number of the last change from before the clock jumped: stamps of those mean another time."""
+        self._forgotten = 0
+        """The largest number of a change that turned out to be a part of another one: no other one gets it."""
         self._inputs: Inputs | None = None
         """How the samples of this robot are best prepared, once that is known."""
         self._now = self._anew_at = 0
@@ -522,6 +524,7 @@ class ChangeWatch:
         """It was no change of its own, but another one that was over, or came again."""
         self._name_no_more(number)
         self.applied.drop(number)
+        self._forgotten = max(self._forgotten, number)
         return self.records.pop(number, None)
 
     def _name_no_more(self, number: int) -> None:
@@ -619,7 +622,7 @@ class ChangeWatch:
             or known.n_own != columns.n_own
             or known.physical != columns.physical
         ):
-            self.detector = ChangeDetector(columns, max(self.records, default=0))
+            self.detector = ChangeDetector(columns, max(self._forgotten, *self.records, 0))
         elif known.effects != columns.effects:
             self.detector.reset()
         return self.detector

@@ -737,3 +737,17 @@ def test_what_is_applied_keeps_its_name():
     (trial,) = watch.applied.applied
     assert stage.changes[-1].effect.where == trial.effect.where == 'r_gripper'
     assert stage.changes[-1].times_named == record.times_named + 1
+
+
+def test_no_change_gets_the_number_of_one_that_was_told_as_a_part_of_another():
+    """After ``diagnosis.auto`` was off, another model or a reset: changes.jsonl had two changes of one number, and the
+    second one got the name that was still being searched for the first."""
+    watch = ChangeWatch(BODY, InlineBackground(), lambda record: None, lambda place, error: None)
+    columns = CoupledColumns(BODY, (), True, True)
+    nothing = Change(1, 10**9, 2 * 10**9, 'payload', 'r_gripper', 1.0, 0.1, 20.0, ())
+    for number in (1, 2):
+        watch._record(nothing._replace(number=number, since=number * 10**9))
+    watch._end(1, 2)
+    assert list(watch.records) == [1]
+    watch.forget()
+    assert watch._detector_of(columns).number == 2
