@@ -21,14 +21,16 @@ import pinocchio as pin
 
 from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.finite import require_finite
-from semiparam_ros.core.model import PROVISIONAL_GAMMA
 from semiparam_ros.core.prediction import DesiredOutputs
 from semiparam_ros.core.robot.frames import as_matrix
 from semiparam_ros.core.robot.rigid_body import RigidBody
+from semiparam_ros.core.robot.size import base_scale
 from semiparam_ros.core.types import Array
 
 RANGE_MARGIN = 0.05
 """How far beyond the inputs learnt still counts as within them, as a share of their range."""
+DESCRIBED_TO = 0.3
+"""Inertial parameters of a description are taken for known to this share of their size."""
 
 
 class Desired(NamedTuple):
@@ -66,8 +68,7 @@ def desired(estimator: Estimator, position: Array, velocity: Array, acceleration
 
 def described(estimator: Estimator, position: Array, velocity: Array, acceleration: Array,
               added: tuple[Array, Array] | None = None) -> Desired:
-    """Answer of the robot description alone; its inertial parameters are taken for known to
-    ``PROVISIONAL_GAMMA``.
+    """Answer of the robot description alone; its inertial parameters are taken for known to ``DESCRIBED_TO``.
 
     Raises SemiparamError when a value, or what follows from it, is not finite.
     """
@@ -75,7 +76,7 @@ def described(estimator: Estimator, position: Array, velocity: Array, accelerati
     require_finite('desired positions, velocities and accelerations', np.concatenate(row))
     regressor = body.regressor(*row)
     outputs = regressor @ body.base_parameters
-    uncertain = PROVISIONAL_GAMMA * regressor
+    uncertain = DESCRIBED_TO * regressor * base_scale(body)
     covariance = uncertain @ uncertain.T
     require_finite('described outputs of a desired state', np.concatenate([outputs, covariance.diagonal()]))
     return _answer(estimator, row, DesiredOutputs(outputs, outputs, covariance, 0.0), True, added)
