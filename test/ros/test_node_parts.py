@@ -61,6 +61,15 @@ def test_the_foxglove_layout_plots_what_the_node_publishes(repository):
     assert set(panels(layout['layout'])) == set(layout['configById'])
 
 
+@pytest.mark.parametrize('name', ['foxglove_layout', 'foxglove_layout_efforts'])
+def test_the_status_panel_names_a_robot_as_foxglove_finds_no_status_without_its_hardware_id(repository, name):
+    layout = json.loads((repository / 'config' / f'{name}.json').read_text())
+    panel = layout['configById']['DiagnosticStatusPanel!model']
+    urdf = ElementTree.parse(repository / 'config' / 'icub_right_arm.urdf').getroot()
+    assert panel['selectedName'] == 'estimator: model'
+    assert panel['selectedHardwareId'] == (urdf.get('name') if name == 'foxglove_layout' else 'ur')
+
+
 def panels(tree):
     return [tree] if isinstance(tree, str) else panels(tree['first']) + panels(tree['second'])
 
