@@ -42,7 +42,7 @@ and `bag_replay` is `semiparam replay`. One ROS parameter file (`--params FILE`)
 | 0 | done |
 | 1 | something failed that is not the caller's mistake; `SEMIPARAM_TRACEBACK=1` shows where |
 | 2 | a mistake in the call or in a file: one sentence on standard error says what, where, and what was expected |
-| 130 | ended by Ctrl-C |
+| 130 | ended by Ctrl-C before it was done; `run`, `record` and a `replay` without followers end so with 0 |
 | 141 | the reader of the output has left (`semiparam ... \\| head`) |
 """
 OF_PARAMETERS = """# Parameters

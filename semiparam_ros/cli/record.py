@@ -32,7 +32,7 @@ def _add_choice(group: argparse._ArgumentGroup) -> None:
     group.add_argument('--node', nargs='+', default=[], metavar='NODE',
                        help='what these nodes publish and subscribe to (default /estimator when nothing is named)')
     group.add_argument('--topics', nargs='+', default=[], metavar='TOPIC', help='these topics')
-    group.add_argument('-a', '--all', action='store_true', help='every topic')
+    group.add_argument('-a', '--all', action='store_true', help='every topic but /rosout and /parameter_events')
     group.add_argument('-e', '--regex', metavar='RE', help='of those, only topics that match')
     group.add_argument('--exclude', nargs='+', default=[], metavar='TOPIC', help='not these')
     group.add_argument('-x', '--exclude-regex', metavar='RE', help='not topics that match')
