@@ -24,7 +24,7 @@ from launch_ros.substitutions import FindPackageShare
 
 PATIENCE_S = 60.0
 TITLES = {'inputs', 'timing', 'learning', 'model', 'parameters', 'feedforward', 'checkpoints',
-          'diagnosis', 'errors'}
+          'diagnosis', 'changes', 'errors'}
 EXPECTED = {f'estimator: {title}' for title in TITLES}
 
 
