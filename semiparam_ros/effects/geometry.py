@@ -18,6 +18,8 @@ from semiparam_ros.effects.base import CALIBRATED, Axis, Coefficient, Effect, jo
 
 MOST_TURN = 0.8
 """Angle [rad] beyond which a zero or a base is not off but another one: half a right angle."""
+LONGEST_DELAY_S = 1e6
+"""Nothing is remembered for a longer one."""
 POINTS = 5
 """Samples through which accelerations are interpolated in a whole recording."""
 
@@ -147,6 +149,8 @@ class TimeDelay(Effect):
     calibrations: ClassVar[tuple[Coefficient, ...]] = (Coefficient('delay_s', 's'),)
     moves_friction: ClassVar[bool] = True
     kept: ClassVar[int] = 64
+    most_kept: ClassVar[int] = 4096
+    """So many samples are remembered at most, of a long delay: four seconds at 1 kHz."""
     least_step: ClassVar[float] = 0.03
 
     @property
@@ -179,8 +183,14 @@ class TimeDelay(Effect):
         past = _Past(*(values[fresh] for values in past))  # type: ignore[arg-type]
         inputs = _interpolated(past, wanted, newest, centred)
         delayed = replace(samples, position=inputs[0], velocity=inputs[1], acceleration=inputs[2])
-        return body, delayed, _Past(past.stamps[-self.kept:], past.position[-self.kept:], past.velocity[-self.kept:],
-                                    past.acceleration[-self.kept:])
+        needed = self._needed(past.stamps)
+        return body, delayed, _Past(*(values[-needed:] for values in past))  # type: ignore[arg-type]
+
+    def _needed(self, stamps: Stamps) -> int:
+        """How many of the newest samples the next ones are interpolated between."""
+        reach_s = min(max(self.value('delay_s'), -3.0 * self.value('delay_s')), LONGEST_DELAY_S)
+        first = int(np.searchsorted(stamps, stamps[-1] - round(reach_s * 1e9), side='right')) - 2
+        return min(max(len(stamps) - first, self.kept), self.most_kept)
 
 
 class VelocityFilter(Effect):
@@ -228,21 +238,26 @@ def _interpolated(past: _Past, wanted: Stamps, newest: Stamps, centred: bool) ->
     Positions and velocities by cubics through values and slopes, accelerations by polynomials through values alone: the
     derivative of the cubics would take in the velocities' noise, least where a delay is a whole number of samples, and
     so draw it there.
-    The last piece extrapolates, so that one sample at a time gives what the whole recording gives.
+    What comes after the newest sample is extrapolated from a piece as long as the way to it, so that one sample at a
+    time gives what the whole recording gives. Where there is none so long, nor one that begins so early, the nearest
+    sample alone tells it: beyond its length, a piece gives its noise times the cube of the lengths.
     """
-    first = newest == 0
-    left = np.searchsorted(past.stamps, wanted, side='right') - 1
-    left = np.clip(left, 0, np.maximum(newest - 1, 0))
-    right = np.minimum(left + 1, len(past.stamps) - 1)
-    step = np.where(first, 1, past.stamps[right] - past.stamps[left])[:, None] * 1e-9
+    last = past.stamps[newest]
+    begin = wanted if centred else np.minimum(wanted, last - (wanted - last))
+    left = np.clip(np.searchsorted(past.stamps, begin, side='right') - 1, 0, np.maximum(newest - 1, 0))
+    right = np.where(begin < wanted, newest, np.minimum(left + 1, len(past.stamps) - 1))
+    step = np.maximum(past.stamps[right] - past.stamps[left], 1)[:, None] * 1e-9
     ahead = np.asarray((wanted - past.stamps[left])[:, None] * 1e-9, dtype=float)
     position = _hermite(past.position, past.velocity, left, right, step, ahead / step)
     velocity = _hermite(past.velocity, past.acceleration, left, right, step, ahead / step)
     acceleration = _centred(past, wanted) if centred else _parabola(past.acceleration, past.stamps, left, right, ahead)
-    if first.any():
-        position[first] = past.position[0] + ahead[first] * past.velocity[0]
-        velocity[first] = past.velocity[0] + ahead[first] * past.acceleration[0]
-        acceleration[first] = past.acceleration[0]
+    far = newest == 0 if centred else (newest == 0) | ((ahead > 2.0 * step) | (ahead < -step))[:, 0]
+    if far.any():
+        near = np.where(ahead[:, 0] > 0.0, right, left)[far]
+        after = (wanted[far] - past.stamps[near])[:, None] * 1e-9
+        acceleration[far] = past.acceleration[near]
+        velocity[far] = past.velocity[near] + after * past.acceleration[near]
+        position[far] = past.position[near] + after * (past.velocity[near] + 0.5 * after * past.acceleration[near])
     return position, velocity, acceleration
 
 
@@ -268,15 +283,18 @@ def _centred(past: _Past, wanted: Stamps) -> Array:
 
 
 def _parabola(values: Array, stamps: Stamps, left: Stamps, right: Stamps, ahead: Array) -> Array:
-    """Value, ``ahead`` [s] of ``left``, of the parabola through left, right and the one before; else of a line."""
-    before = np.maximum(left - 1, 0)
+    """Value, ``ahead`` [s] of ``left``, of the parabola through left, right and the one as long before; else of a
+    line."""
+    earliest = np.searchsorted(stamps, stamps[left] - (stamps[right] - stamps[left]), side='right') - 1
+    known = np.where(right > left + 1, earliest, left - 1)
+    before = np.maximum(known, 0)
 
     def slope(start: Stamps, end: Stamps) -> tuple[Array, Array]:
         step = np.where(end > start, stamps[end] - stamps[start], 1)[:, None] * 1e-9
         return (values[end] - values[start]) / step, step
 
     (rise, step), (earlier, step_before) = slope(left, right), slope(before, left)
-    bend = np.where((left > before)[:, None], (rise - earlier) / (step + step_before), 0.0)
+    bend = np.where((known >= 0)[:, None], (rise - earlier) / (step + step_before), 0.0)
     return np.asarray(values[left] + ahead * (rise + (ahead - step) * bend))
 
 

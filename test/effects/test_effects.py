@@ -812,6 +812,31 @@ def test_accelerations_of_a_whole_recording_are_interpolated_as_exactly_as_they_
     assert np.abs(off[5:-5]).max() < 1e-4 * 36.0
 
 
+@pytest.mark.parametrize('delay_s', [0.02, 0.1, 0.2, -0.01, -0.02])
+def test_a_delay_of_many_samples_is_followed_as_they_come(delay_s):
+    """The noise of a millisecond was extrapolated over a hundred of them: joints were off by turns of the base."""
+    time, rng = np.arange(800) * 1e-3, np.random.default_rng(0)
+    stamps = (time * 1e9).astype(np.int64)
+
+    def motion(at):
+        return np.stack([np.sin(6.0 * at), 6.0 * np.cos(6.0 * at), -36.0 * np.sin(6.0 * at)])
+
+    noisy = motion(time) + np.array([[1e-4], [2e-3], [2e-2]]) * rng.standard_normal((3, len(time)))
+    samples = Samples(stamps, *noisy[:, :, None], np.zeros((len(time), 1)), 0)
+    effect, memory, rows = kinds()['time_delay'](None, {'delay_s': delay_s}), None, []
+    for index in range(len(time)):
+        _, row, memory = effect.correct(BODIES['effort'], samples[index:index + 1], memory)
+        rows.append(np.concatenate([row.position[0], row.velocity[0], row.acceleration[0]]))
+    off, begin = np.abs(np.array(rows).T - motion(time - delay_s)), round(abs(delay_s) * 1e3) + 1
+    assert np.all(off[:, begin:].max(axis=1) < (5e-3, 0.1, 1.0))
+    assert np.all(off[:, :begin].max(axis=1) < (0.5, 5.0, 36.0)), 'before anything came'
+    whole = effect.correct(BODIES['effort'], samples, None)[1]
+    found = np.stack([whole.position, whole.velocity, whole.acceleration])[:, :, 0]
+    np.testing.assert_allclose(np.array(rows).T, found, rtol=1e-9, atol=1e-9, err_msg='all at once')
+    for absurd in (-4e9, 4e9):
+        effect.with_values(delay_s=absurd).correct(BODIES['effort'], samples, None)
+
+
 @pytest.mark.parametrize('outputs', BODIES)
 def test_a_turn_that_comes_adds_what_its_calibration_changes(outputs):
     """To first order, and the same of one state as of many."""
