@@ -143,6 +143,10 @@ class Arm:
         """Place of each named joint in the model's configuration vector."""
         return [int(self.model.joints[self.model.getJointId(name)].idx_q) for name in self.joints]
 
+    def slides(self, joint: str) -> bool:
+        """Tell whether a moving joint is prismatic."""
+        return str(self.model.joints[self.model.getJointId(joint)].shortname()).startswith('JointModelP')
+
     @property
     def limits(self) -> tuple[Array, Array]:
         """Lower and upper joint limits [rad], each (n_joints,)."""

@@ -152,7 +152,7 @@ def hide(world: World, effect: EffectRequest, scale: Array, fit: RigidBodyFit, r
 def described(hidden: Hidden, change: Array, scale: Array, fit: RigidBodyFit) -> dict[str, Any]:
     """The entry in the truth of a cause that changes the outputs by ``change`` (N, n)."""
     quantities = {name: {'value': np.asarray(entry.value).tolist(), 'unit': entry.unit}
-                  for name, entry in hidden.cause.parameters(hidden.magnitude).items()}
+                  for name, entry in hidden.cause.true_values(hidden.magnitude, hidden.world).items()}
     return {'kind': hidden.cause.kind, 'where': hidden.cause.where, 'start_s': hidden.cause.start_s,
             'end_s': hidden.cause.end_s,
             'size': round(share(change, scale) / SHARE_OF_SIZE, 9), 'rms_share': share(change, scale),

@@ -6,9 +6,12 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from semiparam_ros import effects
+from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.simulation import EffectRequest, Scenario, simulate
 from semiparam_ros.simulation.causes import CAUSES, LISTED_KINDS, UNLISTED_KINDS, kinds
 from semiparam_ros.simulation.fine_states import bouc_wen, bristle, play
+from support.arms import ODD_ARM, ODD_JOINTS
 
 WRENCH = ('payload', 'sensor_offset', 'sensor_drift', 'thermal_drift', 'sensor_gain', 'sensor_crosstalk',
           'sensor_misalignment', 'time_delay', 'joint_offset', 'gravity_tilt', 'external_force', 'viscous_drag',
@@ -266,3 +269,19 @@ def test_a_random_place_is_one_where_the_effect_shows():
         truth = simulate(scenario).truth[0]
         assert truth['where'] != 'r_shoulder_pitch'
         assert truth['unexplained_share'] > 0.02
+
+
+@pytest.mark.parametrize('kind', ['viscous_friction', 'asymmetric_friction', 'joint_spring', 'rotor_inertia',
+                                  'effort_offset', 'transmission_ripple', 'backlash', 'temperature_friction'])
+def test_values_of_a_joint_that_slides_have_its_units(kind):
+    """They were told in those of a joint that turns: friction in N m."""
+    scenario = Scenario(motion='mixed', samples=60, outputs='effort', urdf=ODD_ARM, joints=ODD_JOINTS)
+    body = RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, 'effort')
+    for where, slides in (('lift', True), ('turn', False)):
+        recording = simulate(replace(scenario, effects=(EffectRequest(kind, where),)))
+        effect = effects.kinds()[kind](where)
+        known = dict(effect.coefficients(body)) | {'gap': effect.unit_of('gap', body)}
+        units = {name: entry['unit'] for name, entry in recording.truth[0]['parameters'].items()}
+        assert {name: unit for name, unit in units.items() if name in known}.items() <= known.items()
+        assert not slides or not any('rad' in unit or 'N m' in unit for name, unit in units.items() if name != 'phase')
+        assert units.get('phase', 'rad') == 'rad'

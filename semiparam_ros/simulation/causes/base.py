@@ -12,6 +12,9 @@ from semiparam_ros.errors import SemiparamError
 from semiparam_ros.simulation.world import World
 
 BOTH = ('wrench', 'effort')
+ALONG = {'rad': 'm', 'rad/s': 'm/s', '1/revolution': '1/m', 'N m': 'N', 'N m s/rad': 'N s/m',
+         'N m s/(rad K)': 'N s/(m K)', 'N m/rad': 'N/m', 'kg m^2': 'kg'}
+"""Units along a joint that slides, by those about one that turns."""
 
 
 class TrueValue(NamedTuple):
@@ -101,6 +104,8 @@ class HiddenCause:
     typical: ClassVar[float] = 1.0
     linear: ClassVar[bool] = False
     by_temperature: ClassVar[bool] = False
+    of_joint: ClassVar[bool] = False
+    """Mark of kinds whose place is a joint: their units are written for one that turns."""
     quantity: ClassVar[tuple[str, str]]
     """Name and unit of the magnitude, for a cause of which it is the only value."""
 
@@ -123,3 +128,11 @@ class HiddenCause:
         """Values that a perfect diagnosis would find, by name; here the magnitude alone."""
         name, unit = self.quantity
         return {name: TrueValue(magnitude, unit)}
+
+    def true_values(self, magnitude: float, world: World) -> dict[str, TrueValue]:
+        """The same in the units of its place in a world; a phase is an angle all the same."""
+        found = self.parameters(magnitude)
+        if not (self.of_joint and world.arm.slides(str(self.where))):
+            return found
+        return {name: entry if name == 'phase' else entry._replace(unit=ALONG.get(entry.unit, entry.unit))
+                for name, entry in found.items()}

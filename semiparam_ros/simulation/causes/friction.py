@@ -22,7 +22,7 @@ class JointTorque(HiddenCause):
 
     acts_on = ('effort',)
     can_start = can_end = True
-    linear = True
+    linear = of_joint = True
     joint: int
 
     @classmethod

@@ -18,6 +18,7 @@ class HiddenJointOffset(HiddenCause):
 
     kind = 'joint_offset'
     typical = 0.03
+    of_joint = True
     joint: int
     sign: float
 
