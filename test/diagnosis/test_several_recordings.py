@@ -168,12 +168,14 @@ def test_times_count_from_the_beginning_of_their_recording():
 
 @pytest.mark.parametrize('number', [0, 1, 2])
 def test_times_of_an_effect_in_one_recording_count_from_its_beginning(number):
-    """They counted from that of the first, in which the effect then was too, and an end was not heeded."""
+    """They counted from that of the first, in which the effect then was too, and an end was not heeded; or a late one
+    put it into those after it."""
     joined = Samples.joined(recorded('wrench')[1])
     part = joined.recordings[number]
     time = joined.time[part] - joined.time[part.start]
     for text, wanted in (('{"start_s": 5.01}', time > 5.01), ('{"end_s": 5.01}', time < 5.01),
-                         ('{"start_s": 2.01, "end_s": 5.01}', (time > 2.01) & (time < 5.01))):
+                         ('{"start_s": 2.01, "end_s": 5.01}', (time > 2.01) & (time < 5.01)),
+                         ('{"start_s": 2.01, "end_s": 500.0}', time > 2.01)):
         span = during(joined, number, effect_from_text(f'payload@r_gripper{text}')).span
         holds = span.holds(joined.stamps, joined.origin)
         np.testing.assert_array_equal(holds[part], wanted)

@@ -76,8 +76,9 @@ def during(samples: Samples, number: int, effect: Effect) -> Effect:
     """The effect in one of the recordings alone, its own times counted from where that one begins."""
     begin, end = ([None, *breaks_s(samples), None][place] for place in (number, number + 1))
     own = effect.at_stamps(samples.origin + round((begin or 0.0) * 1e9)).in_recording(samples.origin).span
-    return replace(effect, span=Span(begin if own.start_s is None else own.start_s,
-                                     end_s=end if own.end_s is None else own.end_s))
+    starts, ends = ([time_s for time_s in times if time_s is not None]
+                    for times in ((begin, own.start_s), (end, own.end_s)))
+    return replace(effect, span=Span(max(starts, default=None), end_s=min(ends, default=None)))
 
 
 def present(samples: Samples, names: Sequence[str], effect: Effect) -> tuple[str, ...]:
