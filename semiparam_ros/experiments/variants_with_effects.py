@@ -91,6 +91,9 @@ def _judge(settings: Settings, body: RigidBody, recorded: Recorded, effects: Seq
     options = model_options(settings)
     window = min(options.initial_samples, int(recorded.fitting.sum()))
     first, judged = recorded.samples, recorded.judged
+    if judged is not first:  # what belongs to the first one's clock, as a drift, is over when the other begins
+        effects = [effect.with_values(end_s=float(first.time[-1])) if effect.of_one_recording and not effect.ends
+                   else effect for effect in effects]
     estimator = Estimator(body, replace(options, initial_samples=window, alone=True), effects, first.origin)
     _errors(estimator, first, first.origin, recorded.fitting)
     if not estimator.ready:  # the robot stood still in some of them
