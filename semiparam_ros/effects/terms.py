@@ -171,6 +171,11 @@ class Terms(Effect):
         """The terms, in the order of the columns."""
         return tuple(self.parameters)
 
+    @property
+    def searched(self) -> tuple[str, ...]:
+        """Return no name: the numbers of terms are coefficients."""
+        return ()
+
     @classmethod
     def permitted(cls, body: RigidBody) -> Sequence[str | None]:
         return body.output_names

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from semiparam_ros.core.robot.rigid_body import RigidBody
+from semiparam_ros.diagnosis.findings import declared_findings
 from semiparam_ros.diagnosis.preparation import Inputs
 from semiparam_ros.diagnosis.regression import fit_model, refit_weights
 from semiparam_ros.diagnosis.search.refit import fitted_to_all
@@ -96,6 +97,18 @@ def test_gains_of_a_wrench_are_as_uncertain_as_the_channel_that_counts_as_right(
         gain = fit.effects[-1]
         far.append([gain.value(name) for name, _ in gain.calibrations] / estimates(fit, []).calibrations[0][1])
     assert 0.5 < np.sqrt(np.mean(np.square(far)[:, :3])) < 1.5
+
+
+def test_the_coefficients_of_a_declared_formula_are_told_as_they_were_fitted():
+    """They were told as they were declared, without unit or deviation."""
+    elbow = MOTION.position[:, BODY.joints.index('elbow')]
+    outputs = EXACT + 0.3 * elbow[:, None]**3 * (np.array(BODY.joints) == 'elbow')
+    samples = replace(MOTION, outputs=outputs + 0.01 * white(np.random.default_rng(0)))
+    formula = kinds()['terms']('elbow', {'q_elbow^3': 0.2})
+    fit = refit_weights(fit_model(BODY, samples, [formula], np.ones(len(samples), dtype=bool), np.ones(4)))
+    (told,) = declared_findings(fit, [], estimates(fit, []))
+    value, std, unit = vars(told.parameters['q_elbow^3']).values()
+    assert unit == 'N m/rad^3' and 0.0 < std < 0.01 and abs(value - 0.3) < 4.0 * std
 
 
 def test_values_of_efforts_are_told_where_joints_slide():
