@@ -13,6 +13,7 @@ from semiparam_ros.core.types import Array, Stamps
 
 MOST_APART = 0.1
 """Largest difference of a travel from its two speeds' mean, over their sum, that is believed."""
+LEAST_SLIP = 1e-300
 PARTS = 8
 """Parts of a step between two samples that are followed one by one; half of them lie before the joint turns back."""
 
@@ -55,7 +56,8 @@ def sticking_bristle(way: Way, slip: float, stuck: float, stribeck_speed: float,
     """
     def levels(aims: Array, speeds: Array) -> tuple[Array, Array]:
         fading = np.exp(-(speeds / stribeck_speed) ** 2)
-        return np.column_stack([aims, aims * fading]), slip + (stuck - slip) * fading
+        slips = np.maximum(slip + (stuck - slip) * fading, LEAST_SLIP)  # rounding leaves nothing of a tiny one
+        return np.column_stack([aims, aims * fading]), slips
     return _bent(way, levels, memory)
 
 

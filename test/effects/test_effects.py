@@ -812,6 +812,14 @@ def test_accelerations_of_a_whole_recording_are_interpolated_as_exactly_as_they_
     assert np.abs(off[5:-5]).max() < 1e-4 * 36.0
 
 
+def test_a_bristle_that_hardly_bends_at_standstill_gives_numbers():
+    """Its way was zero after rounding, and zero over zero at rest."""
+    effect = kinds()['stribeck_friction']('elbow', {'presliding': 1e-3, 'presliding_stuck': 1e-20,
+                                                    'stribeck_speed': 0.1})
+    still = replace(MOTION, position=0.0 * MOTION.position, velocity=0.0 * MOTION.velocity)
+    assert np.isfinite(effect.columns(BODIES['effort'], still, None)[0]).all()
+
+
 @pytest.mark.parametrize('delay_s', [0.02, 0.1, 0.2, -0.01, -0.02])
 def test_a_delay_of_many_samples_is_followed_as_they_come(delay_s):
     """The noise of a millisecond was extrapolated over a hundred of them: joints were off by turns of the base."""
