@@ -19,6 +19,7 @@ from semiparam_ros.diagnosis.data.recordings import (
     alone,
     beside_breaks,
     breaks_s,
+    in_whole_groups,
     own_offsets,
     own_time,
     present,
@@ -298,11 +299,13 @@ class _Start(NamedTuple):
 def _first_model(body: RigidBody, samples: Samples, effects: Sequence[Effect],
                  train_mask: Mask | None, other: tuple[str, Samples] | None,
                  config: DiagnosisConfig, touched: Sequence[tuple[float, float]]) -> _Start:
-    given, samples = samples, whole_groups(samples, working_factor(samples, config))
+    given, kept = samples, in_whole_groups(samples, working_factor(samples, config))
+    samples = whole_groups(samples, working_factor(samples, config))
     require_enough(config, np.ones(len(samples) // working_factor(samples, config), dtype=bool))
-    may_fit, count = train_mask, len(samples)
-    if may_fit is None:
-        may_fit = np.ones(count, dtype=bool) if other else interleaved_split(count, config)
+    if train_mask is not None:
+        may_fit = np.asarray(train_mask)[kept]
+    else:
+        may_fit = np.ones(len(samples), dtype=bool) if other else interleaved_split(len(samples), config)
     clean = untouched(samples, touched, config) & ~beside_breaks(samples, margin(samples, config))
     inputs, chosen, valid, counted = prepared(body, samples, effects, may_fit, config, clean=clean)
     fitting, held_out = valid & inputs.mask(may_fit), valid & ~inputs.mask(may_fit)

@@ -140,6 +140,18 @@ def test_runs_of_recordings():
     assert effect_to_text(during(joined, 1, load).without_span()) == 'payload@r_gripper'
 
 
+def test_a_mask_of_what_fits_is_of_all_samples_of_several_recordings():
+    """Where faster ones are averaged it had the remainders too that are left out: no mask of any length was right."""
+    made = [simulate(Scenario(samples=count, rate_hz=100.0, outputs='effort', seed=count, robot_seed=1))
+            for count in (801, 1003)]
+    joined = Samples.joined([samples_of(recording) for recording in made])
+    mask = np.arange(len(joined)) % 400 < 300
+    found = diagnose(body_of(made[0]), joined, train_mask=mask, only=['effort_offset'])
+    kept = np.r_[0:800, 801:1803]
+    np.testing.assert_array_equal(found.recorded.samples.stamps, joined.stamps[kept])
+    assert not (found.recorded.fitting & ~mask[kept]).any() and not (found.recorded.valid & mask[kept]).any()
+
+
 def test_only_the_first_recording_has_a_date():
     """Another one, that was recorded before it, had the date of a minute after the end of the first."""
     _, samples = recorded('wrench')

@@ -9,7 +9,7 @@ import numpy as np
 
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
-from semiparam_ros.core.types import Array, Mask
+from semiparam_ros.core.types import Array, Indices, Mask
 from semiparam_ros.effects import Effect, kinds
 from semiparam_ros.effects.base import Span
 from semiparam_ros.errors import SemiparamError
@@ -22,15 +22,21 @@ def whole_groups(samples: Samples, factor: int, stretches: Sequence[int] = ()) -
 
     Raises SemiparamError for a recording of fewer.
     """
+    kept = in_whole_groups(samples, factor, stretches)
+    return samples if len(kept) == len(samples) else samples[kept]
+
+
+def in_whole_groups(samples: Samples, factor: int, stretches: Sequence[int] = ()) -> Indices:
+    """(M,) the numbers of the samples that :func:`whole_groups` keeps."""
     counts = stretches or [part.stop - part.start for part in samples.recordings]
     if len(counts) == 1 or factor == 1:
-        return samples
+        return np.arange(len(samples))
     if not stretches and min(counts) < factor:
         raise SemiparamError(f'recording {counts.index(min(counts)) + 1} holds {min(counts)} samples; '
                              f'expected at least {factor}, which are averaged.')
     starts = np.cumsum([0, *counts[:-1]]).tolist()
     keep = [np.arange(start, start + count - count % factor) for start, count in zip(starts, counts, strict=True)]
-    return samples[np.concatenate(keep)]
+    return np.concatenate(keep)
 
 
 def beside_breaks(samples: Samples, margin: int) -> Mask:
