@@ -133,6 +133,13 @@ class AppliedEffects:
         self._stamp = 0
         self.added: Array = np.zeros((0, body.n_outputs))
         """(m, n) k of each trial, of the newest sample."""
+        self._columns = list[CoupledColumns]()
+        """Of those that are shaped alike, together."""
+        self._places = list[tuple[int, slice]]()
+        """Group and columns of each trial; then of the provisional load."""
+        self._memory = list[Memories]()
+        self._newest = list[Array]()
+        """(n, c) columns of each group, of the newest sample."""
         self._declared: Sequence[ColumnBlock] = ()
         self._shaping: tuple[Effect, ...] = ()
         """Declared effects that shape what is named from now on."""
@@ -458,11 +465,9 @@ class AppliedEffects:
             places.append((group, str(len(groups[group]))))
             groups[group].append(effect)
         self._columns = [CoupledColumns(self._body, group) for group in groups]
-        """Of those that are shaped alike, together."""
         self._places = [(group, self._columns[group].blocks[name]) for group, name in places]
-        """Group and columns of each trial; then of the provisional load."""
-        self._memory: list[Memories] = [None] * len(groups)
-        self._newest: list[Array] = [np.zeros((self._body.n_outputs, each.n_columns)) for each in self._columns]
+        self._memory = [None] * len(groups)
+        self._newest = [np.zeros((self._body.n_outputs, each.n_columns)) for each in self._columns]
         self.added = np.zeros((len(self.trials), self._body.n_outputs))
         self.provisional_added = np.zeros(self._body.n_outputs)
 
