@@ -4,15 +4,18 @@ import os
 import signal
 import time
 from dataclasses import replace
+from types import SimpleNamespace
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import WrenchStamped
 from rcl_interfaces.srv import SetParametersAtomically
+from rclpy.topic_endpoint_info import TopicEndpointInfo
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 from semiparam_ros.core.robot.urdf import MOST_CHARACTERS
 from semiparam_ros.ros.cdr import MOST_BYTES, joint_state_layout
+from semiparam_ros.ros.estimator.subscriptions import InputStream
 from semiparam_ros.settings import Settings
 from support.node_client import children_of, messages, set_stamp
 from support.node_fuzz import resident_mb
@@ -187,6 +190,22 @@ def test_a_second_publisher_is_told_once_by_its_node(start_node):
         time.sleep(0.02)
     client.report('learning')
     assert node.output.count('publish on wrench') == 1
+
+
+def test_publishers_are_told_once_though_a_name_is_discovered_late():
+    """On a busy machine '/client, participant 01..' was told, and a second later '/client, /stranger'."""
+    def published(*names):
+        found = [TopicEndpointInfo(node_name=name, node_namespace='/', endpoint_gid=[1] * 16) for name in names]
+        node.get_publishers_info_by_topic = lambda _: found
+        return [owners for _, owners in InputStream.newly_shared(inputs)]
+
+    node = SimpleNamespace(resolve_topic_name=lambda topic: topic)
+    inputs = SimpleNamespace(topics=['wrench'], publishers=lambda _: 2, _node=node, _seen_owners={}, _owners={})
+    late = [published('client', '_NODE_NAME_UNKNOWN_') for _ in range(4)]
+    named = [published('client', 'stranger') for _ in range(4)]
+    assert (late, named) == ([[]] * 4, [[], [['/client', '/stranger']], [], []])
+    unnamed = [published('client', '_NODE_NAME_UNKNOWN_') for _ in range(10)]
+    assert [len(each) for each in unnamed] == [0] * 5 + [1] + [0] * 4, 'another vendor has no name at all'
 
 
 def test_a_strangers_zeros_are_refused_as_another_robots(start_node):

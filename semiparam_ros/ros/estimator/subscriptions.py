@@ -28,12 +28,14 @@ from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online.worker import Scheduler
 from semiparam_ros.ros.cdr import Layout, Reader, joint_state_layout_of, wrench_layout_of
 from semiparam_ros.ros.context import REPLACEABLE
-from semiparam_ros.ros.discovery import owner
+from semiparam_ros.ros.discovery import is_named, owner
 from semiparam_ros.settings.snapshot import Settings
 
 NEEDED = 5
 TURN_S = 0.002
 """How long messages that wait are worked on before anything else has its turn."""
+UNNAMED_LOOKS = 5
+"""A publisher whose name is not discovered yet gets so many looks to tell it."""
 MOST_WAITING = 20_000
 """Messages of a topic that may wait where ``queue_depth`` keeps all: a recording of minutes played at once."""
 
@@ -212,7 +214,7 @@ class InputStream:
         self.stream: SampleStream | None = None
         self.best_effort: set[str] = set()
         self._unheard: set[str] = set()
-        self._seen_owners: dict[str, list[str]] = {}
+        self._seen_owners: dict[str, tuple[list[str], int]] = {}
         self._owners: dict[str, list[str]] = {}
         self._joints: tuple[str, ...] | None = None
         self._early: list[tuple[str, Reading]] = []
@@ -264,17 +266,20 @@ class InputStream:
     def newly_shared(self) -> list[tuple[str, list[str]]]:
         """Topics on which several publish, but temperatures, and the nodes that do; the same ones once.
 
-        They have a second to tell their names, and are told at the next look.
+        They have a look's time to tell their names, and those that have told none yet so many looks.
         """
         shared = []
         for topic in self.topics:
             if topic != TEMPERATURE and self.publishers(topic) > 1:
                 name = self._node.resolve_topic_name(topic)
-                owners = sorted(map(owner, self._node.get_publishers_info_by_topic(name)))
-                if self._seen_owners.get(topic) == owners != self._owners.get(topic):
+                found = self._node.get_publishers_info_by_topic(name)
+                owners = sorted(map(owner, found))
+                seen, looks = self._seen_owners.get(topic, ([], 0))
+                looks = looks + 1 if seen == owners else 0
+                if owners != self._owners.get(topic) and looks >= (1 if all(map(is_named, found)) else UNNAMED_LOOKS):
                     self._owners[topic] = owners
                     shared.append((topic, owners))
-                self._seen_owners[topic] = owners
+                self._seen_owners[topic] = owners, looks
         return shared
 
     def _unheard_offers(self) -> Iterator[tuple[str, list[bool]]]:
