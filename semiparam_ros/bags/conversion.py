@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from fnmatch import fnmatchcase
 from pathlib import Path
 
 from semiparam_ros.bags import recording_layout as layout
@@ -69,7 +68,7 @@ class Edits:
     def check_joints(self, path: str, names: Sequence[str]) -> None:
         """Raise SemiparamError where a joint is to change that is not among those of the bag."""
         for old in self.joints:
-            if not any(fnmatchcase(name, old) if '*' in old else name == old for name in names):
+            if not any(name == old or _starred(name, old) is not None for name in names):
                 raise SemiparamError(f'{path!r} has no joint {old!r} to rename; it has {listed(names)}.')
         known = [renamed(name, self.joints) for name in names]
         for name in self.effort_factors:
@@ -79,12 +78,19 @@ class Edits:
 
 
 def renamed(name: str, names: Mapping[str, str]) -> str:
-    """The new name of a joint; one without an entry keeps its own."""
-    for old, new in names.items():
-        if '*' in old and fnmatchcase(name, old):
-            before, after = old.split('*', 1)
-            return new.replace('*', name[len(before):len(name) - len(after)])
-    return names.get(name, name)
+    """The new name of a joint: that of its own entry, else of the first pattern that fits; without one it keeps its
+    own."""
+    if name in names:
+        return names[name]
+    fitting = ((new, text) for old, new in names.items() if (text := _starred(name, old)) is not None)
+    return next((new.replace('*', text) for new, text in fitting), name)
+
+
+def _starred(name: str, pattern: str) -> str | None:
+    """What the first * of a pattern stands for in a name, all else being literal; None where it does not fit."""
+    before, star, after = pattern.partition('*')
+    fits = star and name.startswith(before) and name[len(before):].endswith(after)
+    return name[len(before):len(name) - len(after)] if fits else None
 
 
 def convert_bag(source: BagReader, edits: Edits, bag: BagWriter, robot_description: str | None = None,

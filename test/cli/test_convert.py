@@ -70,6 +70,15 @@ def test_a_database_without_metadata(shared_data, tmp_path):
     assert states[0].data.name == [f'panda_joint{number}' for number in range(1, 8)]
 
 
+def test_names_of_joints_are_literal_but_for_one_star(tmp_path, capsys):
+    """Brackets made a pattern fit nothing, two stars gave other names, and a joint's own entry counted for nothing."""
+    source, bag = tmp_path / 'in.mcap', tmp_path / 'out.mcap'
+    assert convert(table(tmp_path, '1 2 3 4\n'), source, '--joints', 'arm[0]_j1,arm[0]_hand', *TWO_JOINTS[2:]) == 0
+    assert convert(source, bag, '--joint', 'arm[0]_*=left_*', '--joint', 'arm[0]_hand=gripper') == 0
+    assert messages(bag, '/joint_states')[0].data.name == ['left_j1', 'gripper']
+    assert "no joint '*_j*' to rename" in refusal(capsys, 'convert', source, bag, '--joint', '*_j*=*_k*')
+
+
 def test_topics_without_a_change_are_copied_byte_by_byte(shared_data, tmp_path):
     source = shared_data / 'panda_arm' / 'panda_exciting_trajectory.db3'
     assert convert(source, tmp_path / 'copy.mcap') == 0
