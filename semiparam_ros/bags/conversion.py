@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import zip_longest
 from pathlib import Path
 
 from semiparam_ros.bags import recording_layout as layout
@@ -53,8 +54,9 @@ class Edits:
             if len(set(data.name)) < len(set(before)):
                 raise SemiparamError(f'the joints {listed(before)} would become {listed(data.name)}; expected another '
                                      'name for each.')
-            factors = [self.effort_sign * self.effort_factors.get(name, 1.0) for name in data.name]
-            data.effort = [factor * value for factor, value in zip(factors, data.effort, strict=False)]
+            # Efforts beyond the names stay, for a message that is wrong must not become one that fits.
+            data.effort = [self.effort_sign * self.effort_factors.get(name or '', 1.0) * value for name, value in
+                           zip_longest(data.name[:len(data.effort)], data.effort)]
         elif message.type == _TRAJECTORY:
             data.joint_names = [renamed(name, self.joints) for name in data.joint_names]
         elif message.type == _TEMPERATURE:
@@ -117,7 +119,8 @@ def convert_bag(source: BagReader, edits: Edits, bag: BagWriter, robot_descripti
                        for concern in (False, True))
     counts = dict.fromkeys(chosen, 0)
     joints: set[str] = set()
-    messages = source.messages(chosen.keys(), decode=bool(changed))
+    # What is copied need not decode.
+    messages = source.messages(chosen.keys(), decode=changed)
     for number, message in enumerate(messages, 1):
         counts[message.topic] += 1
         topic = chosen[message.topic]

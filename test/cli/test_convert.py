@@ -11,6 +11,7 @@ from scipy.io import savemat
 from semiparam_ros.bags.loading import load_samples
 from semiparam_ros.bags.reader import open_bag
 from semiparam_ros.bags.text_tables import parse_columns
+from semiparam_ros.bags.writer import BagWriter
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.settings.snapshot import Settings
 from support.commands import refusal, semiparam
@@ -84,6 +85,30 @@ def test_topics_without_a_change_are_copied_byte_by_byte(shared_data, tmp_path):
     assert convert(source, tmp_path / 'copy.mcap') == 0
     assert [m.raw for m in messages(tmp_path / 'copy.mcap', '/joint_states')] == \
         [m.raw for m in messages(source, '/joint_states')]
+
+
+def test_messages_that_fit_no_type_are_copied_too_where_another_topic_changes(tmp_path):
+    """They were left out, although nothing of theirs was to change."""
+    source, bag = tmp_path / 'in.mcap', tmp_path / 'out.mcap'
+    with BagWriter(source) as writer:
+        writer.write('/joint_states', 'sensor_msgs/msg/JointState', {'name': ['a'], 'position': [1.0]}, 10**9)
+        writer.add_topic('/note', 'std_msgs/msg/String')
+        writer.write_raw('/note', bytes((0, 1, 0, 0, 9, 0, 0, 0)), 10**9)
+    assert convert(source, bag, '--joint', 'a=b') == 0
+    with open_bag(bag) as copied, open_bag(source) as original:
+        raw = [[message.raw for message in each.messages(['/note'], decode=False)] for each in (copied, original)]
+    assert len(raw[0]) == 1 and raw[0] == raw[1]
+
+
+def test_efforts_of_more_joints_than_are_named_stay_too_many(tmp_path):
+    """They were cut to the names, so that a message that is refused became one that is learnt."""
+    source, bag = tmp_path / 'in.mcap', tmp_path / 'out.mcap'
+    with BagWriter(source) as writer:
+        for effort in ([1.0], [1.0, 2.0], [1.0, 2.0, 3.0]):
+            writer.write('/joint_states', 'sensor_msgs/msg/JointState', {'name': ['a', 'b'], 'effort': effort}, 10**9)
+    assert convert(source, bag, '--joint', 'a=c', '--effort-sign', '-1', '--effort-factors', 'c=2') == 0
+    assert [state.data.effort for state in messages(bag, '/joint_states')] == [
+        [-2.0], [-2.0, -2.0], [-2.0, -2.0, -3.0]]
 
 
 def test_columns_by_name_with_times_signs_and_efforts(tmp_path):
