@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import os
+from collections import Counter
 from collections.abc import Callable, Collection, Iterator
 from functools import partial
 from pathlib import Path
@@ -77,6 +78,7 @@ class _RosbagsBag(BagReader):
     def __init__(self, path: str | os.PathLike[str], reader: Callable[[Path], Any]) -> None:
         super().__init__(path)
         self._saved: int | None = None
+        self._reasons: list[str] = []
         try:
             self._reader = reader(self.path)
             self._reader.open()
@@ -91,7 +93,8 @@ class _RosbagsBag(BagReader):
                               f'{text or type(error).__name__}.')
 
     def _log_order(self, topics: Collection[str], start_ns: int | None, end_ns: int | None) -> Iterator[Message]:
-        connections = [connection for connection in self._reader.connections if connection.topic in topics]
+        connections = [connection for connection in self._reader.connections
+                       if connection.topic in topics and self._is_read(connection)]
         if not connections:
             return
         try:
@@ -100,6 +103,10 @@ class _RosbagsBag(BagReader):
                               self._cdr(connection, raw))
         except Exception as error:
             raise self._refusal(error) from error
+
+    def _is_read(self, connection: Connection) -> bool:
+        """Tell whether messages of a connection are of the type that its topic is read as."""
+        return True
 
     def _cdr(self, connection: Connection, raw: bytes) -> bytes:
         return bytes(raw)
@@ -110,7 +117,8 @@ class _RosbagsBag(BagReader):
         """
         if self._saved is None:
             self._saved = sum(1 for _ in self._log_order(self.topics.keys(), None, None))
-        return Losses(str(self.path), self._saved, self.message_count, undecodable=dict(self._undecodable))
+        return Losses(str(self.path), self._saved, self.message_count, reasons=list(self._reasons),
+                      undecodable=dict(self._undecodable))
 
     def close(self) -> None:
         self._reader.close()
@@ -142,11 +150,22 @@ class Ros1Bag(_RosbagsBag):
             self._types = Ros1Types({each.msgtype: each.msgdef.data for each in self._reader.connections})
         except Exception as error:  # definitions that do not parse
             raise self._refusal(error) from error
+        self._main: dict[str, str] = {}
+        """Type that most messages of each topic have, and no others are read."""
         for topic, info in sorted(self._reader.topics.items()):
-            connection = info.connections[0]
-            offers = tuple(LATCHED if each.ext.latching else Qos() for each in info.connections)
-            self.topics[topic] = TopicInfo(self._types.ros2_name(connection.msgtype), info.msgcount,
-                                           qos.agreed(offers), offers, self._types.schema(connection.msgtype))
+            counts: Counter[str] = Counter()
+            for each in info.connections:
+                counts[each.msgtype] += each.msgcount
+            (main, count), *others = counts.most_common()
+            self._main[topic] = main
+            self._reasons += [f'{number} messages on {topic} are {other}, not {main}'
+                              for other, number in others if number]
+            offers = tuple(LATCHED if each.ext.latching else Qos() for each in info.connections if self._is_read(each))
+            self.topics[topic] = TopicInfo(self._types.ros2_name(main), count, qos.agreed(offers), offers,
+                                           self._types.schema(main))
+
+    def _is_read(self, connection: Connection) -> bool:
+        return connection.msgtype == self._main[connection.topic]
 
     def _cdr(self, connection: Connection, raw: bytes) -> bytes:
         return self._types.cdr(connection.msgtype, raw)

@@ -281,6 +281,20 @@ def test_types_of_ros1_become_those_of_ros2(tmp_path):
         assert all(topic.qos.latched for topic in bag.topics.values())
 
 
+def test_a_topic_of_ros1_is_of_the_type_that_most_of_its_messages_have(tmp_path):
+    """All were taken for messages of its first publisher: a text for a number."""
+    store, text, number = get_typestore(Stores.ROS1_NOETIC), 'std_msgs/msg/String', 'std_msgs/msg/Int32'
+    with Rosbag1Writer(tmp_path / 'old.bag') as writer:
+        connections = [writer.add_connection('/x', name, typestore=store) for name in (number, text)]
+        writer.write(connections[0], 1, store.serialize_ros1(store.types[number](7), number))
+        for time in (2, 3):
+            writer.write(connections[1], time, store.serialize_ros1(store.types[text]('word'), text))
+    with open_bag(tmp_path / 'old.bag') as bag:
+        assert [message.data.data for message in bag.messages()] == ['word', 'word']
+        assert (bag.topics['/x'].type, bag.topics['/x'].count) == (text, 2)
+        assert f'1 messages on /x are {number}, not {text}' in bag.losses.sentence
+
+
 def schema_bag(path: Path, encoding: str, text: bytes, raw: bytes) -> Path:
     with path.open('wb') as file:
         writer = McapWriter(file)
