@@ -55,7 +55,7 @@ class McapBag(BagReader):
     def _merged(self, channels: Collection[int], low: int, high: int) -> Iterator[Entry]:
         """Entries of all segments in order of time. Chunks may overlap: an entry waits for those that begin before."""
         heap: list[tuple[int, int, int, Entry]] = []
-        for number, segment in enumerate(sorted(self._index.segments, key=lambda s: s.start_ns)):
+        for segment in sorted(self._index.segments, key=lambda s: s.start_ns):
             if segment.start_ns >= high or segment.end_ns < low:
                 continue
             if segment.channels is not None and segment.channels.isdisjoint(channels):
@@ -64,7 +64,7 @@ class McapBag(BagReader):
                 yield heapq.heappop(heap)[3]
             for position, entry in enumerate(self._entries(segment)):
                 if entry.channel in channels and low <= entry.log_time < high:
-                    heapq.heappush(heap, (entry.log_time, number, position, entry))
+                    heapq.heappush(heap, (entry.log_time, segment.offset, position, entry))
         while heap:
             yield heapq.heappop(heap)[3]
 

@@ -95,6 +95,21 @@ def test_equal_times_keep_the_order_of_recording(tmp_path):
     assert texts(path) == [str(number) for number in range(100)]
 
 
+def test_equal_times_keep_the_order_of_recording_where_the_clock_went_back(tmp_path):
+    """Those of the chunk that begins at the earlier time came first."""
+    path = tmp_path / 'bag.mcap'
+    with path.open('wb') as file:
+        writer = McapWriter(file, chunk_size=10**6)
+        writer.start('ros2', 'test')
+        channel = writer.register_channel('/chatter', 'cdr', writer.register_schema(STRING, 'ros2msg', b'string data'))
+        for number, time in enumerate([10, 20, 5, 20, 30]):
+            if number == 2:
+                writer.flush()
+            writer.add_message(channel, time, bytes((0, 1, 0, 0, 2, 0, 0, 0, 48 + number, 0)), time)
+        writer.finish()
+    assert texts(path) == ['2', '0', '1', '3', '4']
+
+
 def test_order_by_publish_or_header_time(tmp_path):
     path = tmp_path / 'bag.mcap'
     with BagWriter(path) as bag:
