@@ -143,14 +143,15 @@ class BagTimeline:
         return (item for item in self._sorted if item.topic in names)
 
     def announcements(self) -> list[Item]:
-        """The first message on each latched topic, which a node may need before it can do anything."""
+        """The first message on each latched topic, which a node may need before it can do anything, due at the start:
+        the time of the bag must not run ahead with them."""
         first = {item.topic: item for item in self._latched_before(self.start_ns)}
         for item in self._latched_items():
             if item.time >= self.start_ns:
                 first.setdefault(item.topic, item)
             if len(first) == len(self._latched):
                 break
-        return list(first.values())
+        return [item._replace(time=self.start_ns) for item in first.values()]
 
     def _stream(self, topics: Collection[str], start_ns: int | None = None, end_ns: int | None = None
                 ) -> Iterator[Item]:

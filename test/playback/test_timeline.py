@@ -56,6 +56,17 @@ def test_all_of_it_in_order(bag):
     assert played(timeline(bag)) == expected
 
 
+def test_what_is_announced_is_due_at_the_start(tmp_path):
+    """With /clock before every message the time ran ahead to a late robot description, and back with the first one."""
+    with BagWriter(tmp_path / 'b.mcap') as writer:
+        writer.write('/wrench', WRENCH, {'header': header(START)}, START)
+        writer.write('/robot_description', TEXT, {'data': '<robot/>'}, START + 3 * SECOND)
+    with open_bag(tmp_path / 'b.mcap') as bag:
+        line = timeline(bag)
+        assert [(item.topic, item.time) for item in line.announcements()] == [('/robot_description', START)]
+        assert played(line) == [('/wrench', 0.0), ('/robot_description', 3.0)]
+
+
 def test_a_part_keeps_what_was_latched_before_it(bag):
     line = timeline(bag, cut=Cut(start_offset_s=2.0, duration_s=1.5))
     assert played(line) == [('/robot_description', 2.0), ('/wrench', 2.0), ('/joint_states', 2.5), ('/wrench', 3.0),
