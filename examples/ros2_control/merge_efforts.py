@@ -12,9 +12,12 @@ description. Where states are unlike those learnt it is sent with a warning, or 
 
 from __future__ import annotations
 
+import time
 from collections import deque
+from copy import deepcopy
 
 import rclpy
+from builtin_interfaces.msg import Duration, Time
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
@@ -33,6 +36,8 @@ class EffortMerger(Node):
         self._patience = self.declare_parameter('patience', 1.0).value
         self._only_valid = self.declare_parameter('only_valid', False).value
         self._waiting: deque[JointTrajectory] = deque()
+        self._asked = JointTrajectory()
+        self._due: set[int] = set()
         self._answer: JointTrajectory | None = None
         self._marks: list[dict[str, float]] = []
         self._out = self.create_publisher(JointTrajectory, '~/out', QUEUE)
@@ -51,19 +56,23 @@ class EffortMerger(Node):
         """Ask for the oldest that waits."""
         self._answer, self._marks = None, []
         if self._waiting:
-            self._ask.publish(self._waiting[0])
+            self._asked = stamped(self._waiting[0], time.time_ns())
+            start = nanoseconds(self._asked.header.stamp)
+            self._due = {start + nanoseconds(point.time_from_start) for point in self._asked.points}
+            self._ask.publish(self._asked)
             self._timer.reset()
         else:
             self._timer.cancel()
 
     def _answered(self, answer: JointTrajectory) -> None:
-        if self._waiting and same_points(answer, self._waiting[0]):
+        if self._waiting and same_points(answer, self._asked):
             self._answer = answer
             self._perhaps_finish()
 
     def _marked(self, status: JointState) -> None:
-        self._marks.append(dict(zip(status.name, status.position, strict=True)))
-        self._perhaps_finish()
+        if nanoseconds(status.header.stamp) in self._due:
+            self._marks.append(dict(zip(status.name, status.position, strict=True)))
+            self._perhaps_finish()
 
     def _perhaps_finish(self) -> None:
         """Once the answer and the marks of all its points have come, in whatever order."""
@@ -91,6 +100,17 @@ class EffortMerger(Node):
 
     def _refuse(self, reason: str) -> None:
         self.get_logger().error(f'the trajectory is refused: {reason}.')
+
+
+def nanoseconds(time_of: Time | Duration) -> int:
+    return int(time_of.sec) * 10**9 + int(time_of.nanosec)
+
+
+def stamped(trajectory: JointTrajectory, stamp: int) -> JointTrajectory:
+    """A copy with a stamp [ns] of its own, for one that was given up may be answered yet, and planners leave it 0."""
+    asked = deepcopy(trajectory)
+    asked.header.stamp = Time(sec=stamp // 10**9, nanosec=stamp % 10**9)
+    return asked
 
 
 def same_points(answer: JointTrajectory, trajectory: JointTrajectory) -> bool:

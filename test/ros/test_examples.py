@@ -5,11 +5,16 @@ import os
 import subprocess
 import sys
 import time
+from collections import deque
+from copy import deepcopy
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
-from builtin_interfaces.msg import Duration
+from builtin_interfaces.msg import Duration, Time
+from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from support.node_helpers import JOINTS, SETTINGS, URDF, motion
@@ -59,6 +64,41 @@ def wish(scale, count=3):
                                    accelerations=[scale, -scale, 0.0], time_from_start=Duration(nanosec=index * 10**7))
               for index in range(count)]
     return JointTrajectory(joint_names=['b', 'a', 'gripper'], points=points)
+
+
+def test_what_was_given_up_and_is_answered_late_is_not_taken_for_the_next_one(monkeypatch):
+    """Of planners, which leave stamps at 0: the next trajectory was judged by its marks, and sent with its efforts."""
+    monkeypatch.syspath_prepend(EXAMPLES / 'ros2_control')
+    merge_efforts = import_module('merge_efforts')
+    merger = object.__new__(merge_efforts.EffortMerger)
+    asked, sent, log = [], [], []
+    merger.__dict__.update(
+        _waiting=deque(), _answer=None, _marks=[], _patience=1.0, _only_valid=False,
+        _ask=SimpleNamespace(publish=asked.append), _out=SimpleNamespace(publish=sent.append),
+        _timer=SimpleNamespace(reset=lambda: None, cancel=lambda: None),
+        get_logger=lambda: SimpleNamespace(error=log.append, warning=log.append))
+
+    def answer(trajectory, effort, limited):
+        found = deepcopy(trajectory)
+        for point in found.points:
+            point.effort = [effort] * 3
+            due = nanoseconds(trajectory.header.stamp) + nanoseconds(point.time_from_start)
+            status = JointState(name=['valid', 'limited'], position=[1.0 - limited, limited])
+            status.header.stamp = Time(sec=due // 10**9, nanosec=due % 10**9)
+            merger._marked(status)
+        merger._answered(found)
+
+    nanoseconds = merge_efforts.nanoseconds
+    merger._receive(wish(1.0))
+    merger._give_up()
+    merger._receive(wish(2.0))
+    answer(asked[0], 7.0, 0.0)
+    assert not sent
+    answer(asked[1], 9.0, 1.0)
+    assert not sent and '3 of 3 points need efforts beyond the limits' in log[-1]
+    merger._receive(wish(3.0))
+    answer(asked[2], 5.0, 0.0)
+    assert [(each.points[0].effort[0], nanoseconds(each.header.stamp)) for each in sent] == [(5.0, 0)]
 
 
 def test_efforts_are_merged_into_trajectories_or_refused_in_a_sentence(start_node):
