@@ -22,7 +22,8 @@ def generate_launch_description() -> LaunchDescription:
         DeclareLaunchArgument('params_file', default_value=PARAMS,
                               description='ROS parameter file of the estimator.'),
     ]
-    description = ParameterValue(Command(['cat ', LaunchConfiguration('urdf')]), value_type=str)
+    # Command splits its text as a shell does: a path may hold blanks.
+    description = ParameterValue(Command(['cat "', LaunchConfiguration('urdf'), '"']), value_type=str)
     publisher = Node(package='robot_state_publisher', executable='robot_state_publisher', output='screen',
                      parameters=[{'robot_description': description}])
     estimator = IncludeLaunchDescription(

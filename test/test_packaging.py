@@ -3,6 +3,7 @@
 import ast
 import os
 import re
+import shlex
 import shutil
 import subprocess
 import sys
@@ -340,3 +341,12 @@ def test_colcon_test_runs_the_tests(workspace):
         env=environment())
     assert 'Summary: 1 test, 0 errors, 0 failures, 0 skipped' in run(
         colcon, 'test-result', '--all', cwd=workspace, env=environment())
+
+
+def test_the_description_of_a_robot_may_lie_in_a_folder_with_a_blank():
+    """`launch` splits the text of a Command as a shell does, and cat looked for two files."""
+    tree = ast.parse((REPOSITORY / 'launch' / 'robot.launch.py').read_text())
+    calls = (node for node in ast.walk(tree) if isinstance(node, ast.Call))
+    command = next(call for call in calls if ast.unparse(call.func) == 'Command')
+    parts = [part.value if isinstance(part, ast.Constant) else '/my robots/arm.urdf' for part in command.args[0].elts]
+    assert shlex.split(''.join(parts)) == ['cat', '/my robots/arm.urdf']
