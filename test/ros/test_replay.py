@@ -10,7 +10,7 @@ import time
 from math import inf, nan
 from pathlib import Path
 from types import SimpleNamespace
-from unittest.mock import patch
+from unittest.mock import MagicMock, patch
 
 import numpy as np
 import pytest
@@ -434,6 +434,16 @@ def test_a_time_that_is_none_is_no_place_to_go_to(value):
     controls._start_ns = START
     controls._player = Player(SimpleNamespace(start_ns=START, end_ns=START + SECOND), None)
     assert not controls._validate([RosParameter('seek_to', value=value)]).successful
+
+
+def test_a_held_playback_goes_back_to_its_start_before_the_first_message():
+    """It began where it had been sent before."""
+    player = Player(SimpleNamespace(start_ns=START, end_ns=START + 9 * SECOND), None, paused=True)
+    controls = ReplayControls(MagicMock(), player, START)
+    controls._apply([RosParameter('seek_to', value=5.0)])
+    assert player._target == START + 5 * SECOND
+    controls._apply([RosParameter('seek_to', value=0.0)])
+    assert player._target == START
 
 
 def test_topics_by_names_that_ros_does_not_have_are_left_out_or_refused():

@@ -30,10 +30,12 @@ class ReplayControls:
         self._node = node
         self._player = player
         self._start_ns = start_ns
+        self._declared = False
         node.add_on_set_parameters_callback(self._validate)
         node.add_post_set_parameters_callback(self._apply)
         for name, value, description in self._table():
             self._declare(name, value, description)
+        self._declared = True
         for name, action in self._services().items():
             node.create_service(Trigger, f'~/{name}', partial(self._serve, action))
 
@@ -135,7 +137,7 @@ class ReplayControls:
                 self._player.set_paused(value)
             elif name == 'loop':
                 self._player.loop = value
-            elif name == 'seek_to' and (value or self._player.published):
+            elif name == 'seek_to' and (value or self._declared):
                 self._player.seek(self._bag_time(value))
 
     def _bag_time(self, seconds: float) -> int:
