@@ -114,7 +114,6 @@ def encoder(type_name: str, schema: Schema = UNKNOWN) -> Encoder:
 @cache
 def has_header(type_name: str, schema: Schema = UNKNOWN) -> bool:
     """Tell whether messages begin with a std_msgs/Header, whose stamp is then bytes 4 to 12."""
-    fields = (line.split() for line in (message_text(type_name, schema) or '').splitlines())
-    first = next((words for words in fields if len(words) > 1 and not words[0].startswith('#')
-                  and '=' not in ''.join(words)), [''])
+    lines = (line.partition('#')[0] for line in (message_text(type_name, schema) or '').splitlines())
+    first = next((line.split() for line in lines if len(line.split()) > 1 and '=' not in line), [''])
     return first[0] in ('std_msgs/Header', 'std_msgs/msg/Header', 'Header')

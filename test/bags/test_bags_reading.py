@@ -17,6 +17,7 @@ from rosbags.typesys import Stores, get_typestore
 from semiparam_ros.bags.loading import load_samples, recorded_description
 from semiparam_ros.bags.qos import LATCHED, Qos, agreed, dump_profiles, parse_profiles
 from semiparam_ros.bags.reader import MergedBag, open_bag
+from semiparam_ros.bags.schemas import Schema, has_header
 from semiparam_ros.bags.writer import BagWriter
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.settings.snapshot import Settings
@@ -332,6 +333,15 @@ def test_types_of_ones_own_are_read_by_the_definition_in_the_bag(encoding, text,
     with open_bag(schema_bag(tmp_path / 'bag.mcap', encoding, text, raw)) as bag:
         message = next(bag.messages())
         assert (message.data.first, message.data.second) == (1.5, 2.5)
+
+
+@pytest.mark.parametrize(('text', 'has'), [
+    ('std_msgs/Header header  # stamp = time of the exposure\nint32 x\n', True),
+    ('# Header header\nint32 LARGEST = 5  # std_msgs/Header\nstd_msgs/Header header\n', True),
+    ('string UNIT = "# of turns"\nint32 x\nstd_msgs/Header header\n', False), ('std_msgs/Header[] header\n', False)])
+def test_a_header_is_known_by_the_first_field_whatever_the_remarks_say(text, has):
+    """A remark with an equals sign hid it, and --order header put such messages by the clock of others."""
+    assert has_header('my_msgs/msg/Own', Schema('ros2msg', text)) is has
 
 
 def test_bytes_that_do_not_fit_their_type_are_counted_and_left_out(tmp_path):
