@@ -159,12 +159,14 @@ class BagReader(ABC):
                 unstamped.clear()
         yield from ((each.log_time, each) for each in unstamped)
 
-    def _stamp(self, message: Message) -> int | None:
-        """Stamp of the message's header [ns], read without decoding; None without a header, or one that is not set."""
+    def has_header(self, message: Message) -> bool:
+        """Tell whether a message begins with a header, without decoding it."""
         info = self.topics[message.topic]
-        if info.encoding != 'cdr' or not schemas.has_header(info.type, info.schema) or len(message.raw) < 12:
-            return None
-        return read_stamp(message.raw) or None
+        return info.encoding == 'cdr' and len(message.raw) >= 12 and schemas.has_header(info.type, info.schema)
+
+    def _stamp(self, message: Message) -> int | None:
+        """Stamp of the message's header [ns]; None without a header, or one that is not set."""
+        return read_stamp(message.raw) or None if self.has_header(message) else None
 
     def _decoded(self, found: Iterator[Message], topics: Collection[str]) -> Iterator[Message]:
         decoders = {topic: self._decoder(info) if topic in topics else None for topic, info in self.topics.items()}

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from semiparam_ros.bags import recording_layout as layout
 from semiparam_ros.bags.base import BagReader, Message
+from semiparam_ros.bags.header_stamp import with_stamp
 from semiparam_ros.bags.writer import BagWriter
 from semiparam_ros.core.robot.urdf import parse
 from semiparam_ros.core.stamps import stamp_fields
@@ -37,7 +38,7 @@ class Edits:
     stamps_from_log: bool = False
 
     def concern(self, type_name: str) -> bool:
-        """Tell whether messages of this type change; others are copied byte by byte."""
+        """Tell whether messages of this type change; others are copied byte by byte, but for their stamps."""
         named = bool(self.joints) or self.stamps_from_log
         turned = self.wrench_sign != 1.0 or bool(self.wrench_frame) or self.stamps_from_log
         scaled = self.effort_sign != 1.0 or bool(self.effort_factors)
@@ -125,7 +126,9 @@ def convert_bag(source: BagReader, edits: Edits, bag: BagWriter, robot_descripti
         counts[message.topic] += 1
         topic = chosen[message.topic]
         if message.topic in copied:
-            bag.write_raw(topic, message.raw, message.log_time, message.publish_time)
+            stamped = edits.stamps_from_log and source.has_header(message)
+            raw = with_stamp(message.raw, message.log_time) if stamped else message.raw
+            bag.write_raw(topic, raw, message.log_time, message.publish_time)
         else:
             bag.write(topic, message.type, _edited(source, edits, message, joints), message.log_time,
                       message.publish_time)

@@ -373,6 +373,18 @@ def test_what_a_killed_recorder_left_is_not_written_over_while_it_is_read(tmp_pa
     assert convert(left, tmp_path / 'whole.mcap') == 0
 
 
+def test_headers_of_every_type_can_have_their_stamps_from_the_log(tmp_path):
+    """Of types that are copied they stayed 0."""
+    source, bag = tmp_path / 'in.mcap', tmp_path / 'out.mcap'
+    with BagWriter(source) as writer:
+        writer.write('/imu', 'sensor_msgs/msg/Imu', {'orientation': {'x': 0.5}}, 3_000_000_004)
+        writer.write('/note', 'std_msgs/msg/String', {'data': 'a text of some length'}, 10**9)
+    assert convert(source, bag, '--stamps-from-log') == 0
+    imu, note = messages(bag, '/imu')[0].data, messages(bag, '/note')[0].data
+    assert (imu.header.stamp.sec, imu.header.stamp.nanosec, imu.orientation.x) == (3, 4, 0.5)
+    assert note.data == 'a text of some length'
+
+
 def test_header_stamps_can_come_from_the_log(tmp_path):
     path = table(tmp_path, '1 2 3 4\n1 2 3 4\n')
     convert(path, tmp_path / 'a.mcap', *TWO_JOINTS)
