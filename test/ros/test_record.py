@@ -13,7 +13,9 @@ import pytest
 from builtin_interfaces.msg import Time
 from rcl_interfaces.msg import Parameter, ParameterValue
 from rcl_interfaces.srv import SetParameters
+from rclpy.serialization import serialize_message
 from rosbags.highlevel import AnyReader
+from std_msgs.msg import Header
 
 from semiparam_ros.bags.qos import Qos
 from semiparam_ros.bags.reader import open_bag
@@ -327,6 +329,25 @@ def test_an_older_file_is_not_replaced_unless_asked(tmp_path):
         RecordOptions(tmp_path / 'other.mcap', topics=('/wrench',))
     with pytest.raises(SemiparamError, match='expected a node, a topic'):
         RecordOptions(tmp_path / 'new.mcap')
+
+
+def test_what_a_silent_robots_node_says_again_and_again_keeps_no_recording_going():
+    """Its ~/payload came each second, so that --until-idle never ended a recording of the estimator."""
+    node = RecordNode.__new__(RecordNode)
+    kind = 'geometry_msgs/msg/InertiaStamped'
+    node.__dict__.update(_sim_time=False, _newest=0, went_back=False, _arrived=deque(), _latched=set(), _stamps={},
+                         _types={'/estimator/payload': kind, '/unstamped': kind, '/text': TEXT})
+    stamped, later, unset = (serialize_message(message_class(kind)(header=Header(stamp=Time(sec=seconds))))
+                             for seconds in (5, 6, 0))
+
+    def is_news(topic, raw):
+        node.last_message = 0.0
+        node._receive(topic, raw)
+        return node.last_message > 0.0
+
+    payloads = stamped, stamped, later, later
+    assert [is_news('/estimator/payload', raw) for raw in payloads] == [True, False, True, False]
+    assert all(is_news('/unstamped', unset) and is_news('/text', b'text') for _ in range(3))
 
 
 def test_counts_and_limits_as_written():

@@ -14,6 +14,7 @@ from rclpy.subscription import Subscription
 from semiparam_ros.bags.qos import agreed
 from semiparam_ros.bags.writer import BagWriter
 from semiparam_ros.ros.answering import AnsweringNode
+from semiparam_ros.ros.cdr import begins_with_header
 from semiparam_ros.ros.context import REPLACEABLE
 from semiparam_ros.ros.message_types import message_class
 from semiparam_ros.ros.record import topics
@@ -42,6 +43,7 @@ class RecordNode(AnsweringNode):
         self._types: dict[str, str] = {}
         # A robot description may come long before the data that is waited for.
         self._latched: set[str] = set()
+        self._stamps: dict[str, bytes] = {}
         self.counts: dict[str, int] = {}
         self.last_message = 0.0
         self.complete = False
@@ -96,8 +98,17 @@ class RecordNode(AnsweringNode):
         self.went_back |= stamp < self._newest
         self._newest = stamp
         self._arrived.append((topic, raw, stamp))
-        if topic not in STEADY and topic not in self._latched:
+        if self._is_news(topic, raw):
             self.last_message = time.monotonic()
+
+    def _is_news(self, topic: str, raw: bytes) -> bool:
+        """Tell whether the robot's data still flows: what has the stamp of the message before again is sent by a node
+        that hears nothing new, as `~/payload` each second."""
+        if topic in STEADY or topic in self._latched:
+            return False
+        stamp = raw[4:12] if begins_with_header(self._types[topic]) else b''
+        before, self._stamps[topic] = self._stamps.get(topic), stamp
+        return stamp != before or not any(stamp)
 
     def repeated(self) -> set[str]:
         """Topics with a reliable publisher, who sends again what did not arrive."""
