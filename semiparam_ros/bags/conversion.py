@@ -9,8 +9,9 @@ from itertools import zip_longest
 from pathlib import Path
 
 from semiparam_ros.bags import recording_layout as layout
-from semiparam_ros.bags.base import BagReader, Message
+from semiparam_ros.bags.base import BagReader, Message, TopicInfo
 from semiparam_ros.bags.header_stamp import with_stamp
+from semiparam_ros.bags.schemas import is_jazzy_type
 from semiparam_ros.bags.writer import BagWriter
 from semiparam_ros.core.robot.urdf import parse
 from semiparam_ros.core.stamps import stamp_fields
@@ -96,6 +97,15 @@ def _starred(name: str, pattern: str) -> str | None:
     return name[len(before):len(name) - len(after)] if fits else None
 
 
+def obstacle(info: TopicInfo) -> str:
+    """Why the messages of a topic cannot be written into a new bag, '' where they can."""
+    if info.encoding != 'cdr':
+        return f'its messages are encoded as {info.encoding!r}, not cdr'
+    if not info.type or not (info.schema.text or is_jazzy_type(info.type)):
+        return f'neither the bag nor ROS 2 Jazzy defines its type {info.type or "(unknown)"}'
+    return ''
+
+
 def convert_bag(source: BagReader, edits: Edits, bag: BagWriter, robot_description: str | None = None,
                 progress: Callable[[int], None] = lambda done: None) -> dict[str, int]:
     """Copy the messages of ``source`` in order of log time; returns how many came from each topic.
@@ -104,7 +114,7 @@ def convert_bag(source: BagReader, edits: Edits, bag: BagWriter, robot_descripti
     :param progress: called with the number of messages so far. A topic or a joint that is not there raises
         SemiparamError.
     """
-    chosen = dict(edits.topics) or {topic: topic for topic, info in source.topics.items() if info.encoding == 'cdr'}
+    chosen = dict(edits.topics) or {topic: topic for topic, info in source.topics.items() if not obstacle(info)}
     if robot_description is not None:
         chosen = {old: new for old, new in chosen.items() if new != layout.ROBOT_DESCRIPTION}
         write_description(bag, robot_description, source.start_ns)
@@ -112,9 +122,9 @@ def convert_bag(source: BagReader, edits: Edits, bag: BagWriter, robot_descripti
         if old not in source.topics:
             raise SemiparamError(f'{str(source.path)!r} has no topic {old}; it has {", ".join(source.topics)}.')
         info = source.topics[old]
-        if info.encoding != 'cdr' or not info.type:
+        if obstacle(info):
             raise SemiparamError(f'{str(source.path)!r}: topic {old} holds {info.type or "no known type"}, encoded as '
-                                 f'{info.encoding!r}; expected a type of ROS 2, as cdr (--topic takes others alone).')
+                                 f'{info.encoding!r}; expected a type of ROS 2, as cdr, that the bag or ROS 2 defines.')
         bag.add_topic(new, info.type, info.qos, info.schema)
     copied, changed = ({topic for topic in chosen if edits.concern(source.topics[topic].type) is concern}
                        for concern in (False, True))

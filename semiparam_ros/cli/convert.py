@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from semiparam_ros.bags.array_files import holds_arrays
-from semiparam_ros.bags.conversion import Edits, convert_bag, read_description
+from semiparam_ros.bags.conversion import Edits, convert_bag, obstacle, read_description
 from semiparam_ros.bags.reader import is_bag, open_bag
 from semiparam_ros.bags.text_tables import (
     PER_JOINT,
@@ -140,10 +140,9 @@ def _from_bag(args: argparse.Namespace, description: str | None) -> list[str]:
                                                   if not edits.topics or topic in edits.topics))
         counts = convert_bag(source, edits, bag, description, lambda done: bar.update(task, completed=done))
         losses = source.losses
-        others = {topic: info.encoding for topic, info in source.topics.items() if info.encoding != 'cdr'}
+        others = {topic: reason for topic, info in source.topics.items() if (reason := obstacle(info))}
     chosen = ', '.join(f'{count} on {edits.topics.get(topic, topic)}' for topic, count in counts.items())
-    left = [f'{topic} is left out: its messages are encoded as {encoding!r}, not cdr.'
-            for topic, encoding in others.items()]
+    left = [f'{topic} is left out: {reason}.' for topic, reason in others.items()]
     return [f'{args.output}: {chosen or "no messages"}.', *left, *([losses.sentence] if losses else [])]
 
 

@@ -92,3 +92,22 @@ def test_convert_tells_what_it_leaves_out_and_takes_no_other_encoding_for_cdr(tm
     assert "/joint_states is left out: its messages are encoded as 'json'" in capsys.readouterr().err
     assert main(['convert', str(path), str(out), '--topic', STATES]) == 2
     assert "encoded as 'json'; expected a type of ROS 2, as cdr" in capsys.readouterr().err
+
+
+def test_convert_leaves_out_a_type_that_nothing_defines(tmp_path, capsys):
+    """A .db3 file of before Iron holds no definitions: with a topic of a type of one's own all of it was refused."""
+    path, out = tmp_path / 'old.mcap', tmp_path / 'b.mcap'
+    with path.open('wb') as file:
+        writer = McapWriter(file)
+        writer.start('ros2', 'test')
+        for topic, kind in ((STATES, STATE), ('/franka', 'franka_msgs/msg/FrankaState')):
+            channel = writer.register_channel(topic, 'cdr', writer.register_schema(kind, '', b''))
+            writer.add_message(channel, 1, schemas.encoder(STATE)({}), 1)
+        writer.finish()
+    assert main(['convert', str(path), str(out)]) == 0
+    assert '/franka is left out: neither the bag nor ROS 2 Jazzy defines its type franka_msgs/msg/FrankaState.' in \
+        capsys.readouterr().err
+    with open_bag(out) as bag:
+        assert list(bag.topics) == [STATES] and bag.message_count == 1
+    assert main(['convert', str(path), str(out), '--topic', '/franka']) == 2
+    assert 'topic /franka holds franka_msgs/msg/FrankaState' in capsys.readouterr().err
