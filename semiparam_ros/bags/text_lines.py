@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TypeAlias
@@ -35,6 +37,10 @@ def text_lines(path: Path, progress: Callable[[int], None] = lambda done: None) 
 
 
 def _cells(line: str) -> list[str]:
-    """Cells of a line; the first one may be empty, as over the row numbers of a table."""
-    separator = next((mark for mark in ';,\t' if mark in line.lstrip()), None)
-    return [cell.strip().strip('"') for cell in line.split(separator)]
+    """Cells of a line; the first one may be empty, as over the row numbers of a table. What stands in quotes is one."""
+    bare = re.sub('"[^"]*"', '', line)
+    separator = next((mark for mark in ';,\t' if mark in bare.lstrip()), None)
+    quoted = separator is not None and bare != line
+    cells = next(csv.reader([line], delimiter=separator or ' ', skipinitialspace=True)) if quoted else \
+        line.split(separator)
+    return [cell.strip().strip('"') for cell in cells]

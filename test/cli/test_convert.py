@@ -151,6 +151,16 @@ def test_the_heading_over_row_numbers_may_be_empty(tmp_path):
             (1_500_000_000, [0.1, 0.2]), (1_600_000_000, [0.3, 0.4])]
 
 
+@pytest.mark.parametrize('text', ['"time, s","q, rad",w,e\n1,0.1,0.2,9\n', '"t" ; "q; x";"w";"e"\n"1";"0.1";0.2;9\n',
+                                  't\t"q, rad"\tw\te\n1\t0.1\t0.2\t9\n'])
+def test_what_stands_in_quotes_is_one_cell(text, tmp_path):
+    """A mark within a name put all names behind it one column further to the right: efforts for velocities."""
+    path, bag = table(tmp_path, text), tmp_path / 'out.mcap'
+    assert convert(path, bag, '--joints', 'a', '--time', '1', '--position', '2', '--velocity', 'w') == 0
+    state = messages(bag, '/joint_states')[0]
+    assert (state.log_time, state.data.position, state.data.velocity) == (10**9, [0.1], [0.2])
+
+
 def test_a_first_row_that_lacks_a_number_is_no_header(tmp_path):
     path, bag = table(tmp_path, '1,2,,4\n5,6,7,8\n'), tmp_path / 'out.mcap'
     assert convert(path, bag, '--joints', 'a,b', '--position', '1-2', '--rate', '1') == 0
