@@ -7,6 +7,7 @@ import pytest
 
 from semiparam_ros.core.columns import ColumnBlock, CoupledColumns
 from semiparam_ros.core.robot.rigid_body import RigidBody
+from semiparam_ros.effects.geometry import BaseShift
 from support.arms import ODD_ARM, ODD_JOINTS, icub, smooth_motion
 
 
@@ -74,8 +75,9 @@ def body():
     return icub()
 
 
-def test_a_live_sample_builds_no_model_of_the_robot_anew(body, monkeypatch):
-    columns, (first, *others) = CoupledColumns(body, SETS['all']), MOTION
+@pytest.mark.parametrize('effects', [SETS['all'], [Tilt(), BaseShift()]])
+def test_a_live_sample_builds_no_model_of_the_robot_anew(body, monkeypatch, effects):
+    columns, (first, *others) = CoupledColumns(body, effects), MOTION
     _, memory = columns.one(first, MOTION.origin)
     monkeypatch.setattr(RigidBody, '_make_data', lambda body: pytest.fail('it takes longer than all the rest'))
     for sample in others:

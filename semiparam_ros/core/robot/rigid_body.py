@@ -446,9 +446,10 @@ def _reduce(full: Part, to_outputs: Matrix, rows: Integers, columns: Integers, p
             psi[k, j] += full[k, i] * to_outputs[i, j]
 
 
-@lru_cache(maxsize=2)
+@lru_cache(maxsize=8)
 def _with_gravity(body: RigidBody, gravity: tuple[float, ...]) -> RigidBody:
-    """The latest ones are remembered: a tilt that is declared asks for the same with every sample."""
+    """The latest ones are remembered: a tilt that is declared asks for the same with every sample, and with each of two
+    models' tilts a turn of the base asks for two more (``small_turns``)."""
     described = body.base_parameters
     hidden = body.inertial_parameters - body.basis @ described
     arm = body.arm.copy()
