@@ -153,7 +153,7 @@ class Estimator:
 
     def _observed(self, sample: Sample, measured: Array | None = None) -> Observed:
         sample = sample.in_rows(self.body.n_joints, self.body.n_outputs)
-        measured = sample.outputs if measured is None else measured
+        measured = np.array(sample.outputs if measured is None else measured)  # kept, where a caller may fill his anew
         x, outside = beyond(self.inputs_learnt, sample)
         if isnan(outside):
             require_finite('positions, velocities and accelerations', x)

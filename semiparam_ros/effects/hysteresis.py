@@ -25,7 +25,7 @@ def dahl_state(travel: Array, slip: float, memory: Memory) -> tuple[Array, Memor
     """
     place, state = cast('tuple[Array, Array]', memory) if memory is not None else (travel[0], np.zeros(travel.shape[1]))
     states = _dahl(np.diff(travel, axis=0, prepend=place[None]), slip, state)
-    return states, (travel[-1], states[-1])
+    return states, (travel[-1].copy(), states[-1])  # the travel is the caller's, who may fill it anew
 
 
 def bouc_wen_state(travel: Array, slip: float, unloading: float, memory: Memory) -> tuple[Array, Memory]:

@@ -206,6 +206,22 @@ def test_values_in_any_form_are_answered_alike(trained, recording, given):
         model.step(sample._replace(outputs='abc'))
 
 
+def test_a_caller_may_fill_the_same_arrays_with_every_sample(arm):
+    """So slowly that neighbouring samples are of one place: their outputs then tell whether the motors are off."""
+    motion = smooth_motion(4, 40)
+    slow = replace(motion, position=motion.position[0] + 1e-4 * np.arange(40)[:, None])
+    slow = replace(slow, outputs=arm.regressors(slow) @ arm.base_parameters + np.arange(40)[:, None])
+    cable = effect_from_text(f'cable_hysteresis@{arm.joints[0]}{{"slip": 0.001}}')
+    model, expected = (Estimator(arm, ModelOptions('P'), [cable]) for _ in range(2))
+    reused = [np.empty(count) for count in (4, 4, 4, 6)]
+    for sample in slow[:STILL_SAMPLES]:
+        for values, given in zip(reused, sample[1:5], strict=True):
+            values[:] = given
+        one, other = model.step(Sample(sample.stamp, *reused)), expected.step(sample)
+        np.testing.assert_array_equal(one.columns, other.columns)
+        assert one.motion.is_news
+
+
 def test_horizons_start_with_the_variant_and_again_after_a_jump_of_the_clock(trained, recording):
     _, predictions = trained
     known = [prediction.horizon is not None for prediction in predictions]
