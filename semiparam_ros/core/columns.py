@@ -29,6 +29,9 @@ Memories: TypeAlias = Sequence[tuple[Memory, Memory]] | None
 """Of all effects: what each remembers for its corrections, and for its columns. None at the
 start."""
 
+Motions: TypeAlias = tuple[Array, Array, Array]
+"""Position, velocity and acceleration (n_joints,) each."""
+
 APPROACH_NS = 100_000_000
 """How long a desired state has moved on at its own velocity, for what remembers the way
 travelled."""
@@ -384,6 +387,19 @@ class CoupledColumns:
         if self.body.outputs == 'wrench':  # that of an effort is needed to hold the joint
             needed[:, self.blocks['offset']] = 0.0
         return shown, needed
+
+    def as_it_is(self, motion: Motions) -> tuple[RigidBody, Motions, Array] | None:
+        """Robot and desired motion as the effects correct them, and (n_joints, n_joints) true velocities for unit ones
+        of each motor, by which torques of the joints reach the motors; None where no effect corrects anything."""
+        acting, n = self._desired[0], self.body.n_joints
+        if acting.only_add:
+            return None
+        position, velocity, acceleration = (np.tile(values, (n + 2, 1)) for values in motion)
+        velocity[1:] = np.vstack([np.zeros(n), np.eye(n)])
+        stamps, unknown = np.zeros(n + 2, dtype=np.int64), np.full((n + 2, self.body.n_outputs), np.nan)
+        body, found, _ = acting.corrected(Samples(stamps, position, velocity, acceleration, unknown, 0))
+        own = found.position[0], found.velocity[0], found.acceleration[0]
+        return body, own, found.velocity[2:] - found.velocity[1]
 
     def _after(self, before: Sample, state: Sample, origin: int) -> Array:
         """(n, p) columns of a state; what effects remember begins with the one before it."""

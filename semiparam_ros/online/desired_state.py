@@ -104,12 +104,29 @@ def _answer(estimator: Estimator, row: tuple[Array, Array, Array], found: Desire
         wanted, wanted_std = found.needed, std
     else:
         wanted, jacobian = joint_torques(body, *row, found.needed)
+        if not described:
+            wanted, jacobian = _corrected(estimator, row, found.needed, wanted, jacobian)
         wanted_std = np.sqrt(np.einsum('ij,ik,kj->j', jacobian, found.covariance, jacobian).clip(0.0))
         require_finite('efforts of a desired state', np.concatenate([wanted, wanted_std]))
     efforts = wanted.clip(-body.effort_limits, body.effort_limits)
     outputs = efforts if body.outputs == 'effort' else found.shown
     return Desired(outputs, std, efforts, wanted_std, efforts != wanted, outside, found.variance_ratio,
                    found.distance, described)
+
+
+def _corrected(estimator: Estimator, row: tuple[Array, Array, Array], wrench: Array, torques: Array,
+               jacobian: Array) -> tuple[Array, Array]:
+    """The torques of :func:`joint_torques` and their derivative where effects say that joints stand elsewhere, or that
+    gravity points elsewhere, as in the wrench: as far as these effects are believed."""
+    found = estimator.columns.as_it_is(row)
+    if found is None:
+        return torques, jacobian
+    body, row, moved = found
+    true_torques, true_jacobian = joint_torques(body, *row, wrench)
+    probability = estimator.effects_probability
+    share = 1.0 if probability is None else float(probability.mean())
+    return (torques + share * (moved @ true_torques - torques),
+            jacobian + share * (true_jacobian @ moved.T - jacobian))
 
 
 def joint_torques(body: RigidBody, position: Array, velocity: Array, acceleration: Array,

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -11,12 +12,12 @@ from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.model import ModelOptions
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Sample
-from semiparam_ros.effects import kinds
+from semiparam_ros.effects import effect_from_text, kinds
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.export.estimate import from_estimator
 from semiparam_ros.online.desired_state import described, desired, joint_torques
 from semiparam_ros.online.feedforward import STATUS, Feedforward, status
-from support.arms import smooth_motion
+from support.arms import icub, smooth_motion
 from support.effect_cases import BODIES, CASES, MOTION, NAMES
 from support.learner_stage import Stage
 from support.node_helpers import BODY, SETTINGS, URDF, motion
@@ -171,3 +172,27 @@ def test_the_deviation_of_torques_is_that_of_the_wrench_carried_to_the_joints():
     base = joint_torques(BODY, *ROW, wrench)[0]
     jacobian = np.array([(joint_torques(BODY, *ROW, wrench + step * unit)[0] - base) / step for unit in np.eye(6)])
     np.testing.assert_allclose(found.efforts_std**2, np.diag(jacobian.T @ covariance @ jacobian), rtol=1e-4)
+
+
+@pytest.mark.parametrize('effect', ['gravity_tilt{"tilt_x": 0.1}', 'joint_offset@r_shoulder_roll{"offset": 0.1}',
+                                    'gear_coupling@r_shoulder_roll{"ratio": 0.3}'])
+def test_torques_from_a_wrench_are_those_of_the_arm_as_the_effects_have_it(effect):
+    """Of the links before the sensor too, which the wrench does not show."""
+    body, rng = icub(), np.random.default_rng(0)
+    estimator, doubting = (Estimator(body, ModelOptions('P', alone=alone), [effect_from_text(effect)])
+                           for alone in (True, False))
+    row = rng.normal(0.0, 0.5, (3, 4))
+    moved, gravity, motors = row.copy(), body.arm.gravity.linear, np.eye(4)
+    if 'tilt' in effect:
+        gravity = pin.exp3(np.array([0.1, 0.0, 0.0])).T @ gravity
+    elif 'offset' in effect:
+        moved[0, 1] += 0.1
+    else:
+        motors[0, 1] = 0.3
+        moved = row @ motors
+    arm = body.arm.copy()
+    arm.gravity.linear = gravity
+    expected = motors @ pin.rnea(arm, arm.createData(), *moved)
+    np.testing.assert_allclose(desired(estimator, *row).efforts, expected, atol=1e-9)
+    without = pin.rnea(body.arm, body.arm.createData(), *row)
+    np.testing.assert_allclose(desired(doubting, *row).efforts, 0.5 * (expected + without), rtol=0.05, atol=0.01)
