@@ -15,8 +15,10 @@ MARK = 'Identified by semiparam_ros'
 
 
 def remark(found: Identified) -> str:
-    """Remark for a file on how it was made and how well it predicts."""
-    heading = f'{MARK} {__version__} from {found.how}.'
+    """Remark for a file on how it was made and how well it predicts; one line that every file can hold, whatever the
+    recording is called."""
+    how = ''.join(letter if letter.isprintable() else '?' for letter in found.how)
+    heading = f'{MARK} {__version__} from {how}.'
     return f'{heading} {price(found)}' if found.price else heading
 
 

@@ -109,6 +109,15 @@ def test_a_link_of_any_name_carries_a_load(estimate):
     assert described_links(urdf)['payload_h <"&'][0] == pytest.approx(0.5, rel=1e-3)
 
 
+def test_a_recording_of_any_name_is_told_of_in_one_line(estimate, tmp_path):
+    """A byte that is no UTF-8, a control character, and a line that a controller would run."""
+    named = estimate._replace(how='samples of arm\udce9\x1b\nset_payload(99).mcap')
+    export_to(tmp_path, 'arm', URDF, named)
+    text = (tmp_path / 'arm.urdf').read_text()
+    assert described_links(text).keys() == described_links(URDF).keys()
+    assert 'samples of arm???set_payload(99).mcap. -->' in text
+
+
 def test_what_drives_a_joint_is_no_damping(estimate):
     found = identify(estimate, described_links(URDF))
     damping = {each.joint: each.value for each in found.joints if each.name == 'damping'}
