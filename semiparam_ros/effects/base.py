@@ -76,7 +76,7 @@ class Span:
         """Mask (N,) of the stamps [ns] within; ``origin`` [ns] is where start_s and end_s count
         from."""
         inside = np.ones(np.shape(stamps), dtype=bool)
-        time = np.asarray((stamps - origin) * 1e-9)
+        time = np.asarray((stamps + STAMP_TOLERANCE_NS - origin) * 1e-9)  # seconds may be those of a stamp
         start, end = (nanoseconds(stamp_s) for stamp_s in (self.start_stamp_s, self.end_stamp_s))
         if self.start_s is not None:
             inside &= time >= self.start_s

@@ -361,6 +361,13 @@ def test_an_effect_is_there_from_its_start_until_before_its_end():
     assert between.at_stamps(ORIGIN).in_recording(ORIGIN).end_s == pytest.approx(times[1], abs=1e-6)
 
 
+@pytest.mark.parametrize('row', range(1, 20))
+def test_times_that_were_stamps_are_those_of_the_same_samples(row):
+    span = Span(float(STAMPED.time[row]), end_s=float(STAMPED.time[row + 15]))
+    back = span.at_stamps(ORIGIN).in_recording(ORIGIN)
+    np.testing.assert_array_equal(back.holds(STAMPED.stamps, ORIGIN), span.holds(STAMPED.stamps, ORIGIN))
+
+
 def late_and_uneven() -> Samples:
     """The motion at 1 kHz a day after the origin, then rest; a pause of half an hour, stamps that come twice."""
     steps = np.full(2 * len(MOTION), 1_000_000)
