@@ -117,6 +117,17 @@ class ColumnBlock:
         return self
 
 
+def shaping_order(effects: Sequence[ColumnBlock]) -> list[ColumnBlock]:
+    """Effects in the order in which they shape columns. Those that move joints by others carry the torques of these
+    back, the last one first, for they moved joints one after another; gains are of the motors that carry them."""
+    moving, others = list[ColumnBlock](), list[ColumnBlock]()
+    for effect in effects:
+        own = type(effect)
+        one_way = own.correct is ColumnBlock.correct or own.transform is ColumnBlock.transform
+        (others if one_way else moving).append(effect)
+    return [*moving[::-1], *others]
+
+
 class Absent(ColumnBlock):
     """Stands for an effect that does not act, with as many columns."""
 
@@ -362,7 +373,7 @@ class CoupledColumns:
     def _shaped(self, body: RigidBody, columns: Array) -> Array:
         """Columns (N, n, c) of bodies as the effects shape them: a gain of the efforts multiplies
         all of these."""
-        for effect in self.effects:
+        for effect in shaping_order(self.effects):
             columns = effect.transform(body, columns)
         return columns
 

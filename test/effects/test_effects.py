@@ -10,6 +10,7 @@ import re
 import sys
 import textwrap
 from dataclasses import replace
+from itertools import permutations
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ from semiparam_ros.core.columns import CoupledColumns
 from semiparam_ros.core.robot.frames import nearest_link
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.robot.small_turns import SmallTurns
-from semiparam_ros.core.samples import Samples
+from semiparam_ros.core.samples import Sample, Samples
 from semiparam_ros.diagnosis.regression import fit_model
 from semiparam_ros.diagnosis.search.candidates import added_columns
 from semiparam_ros.effects import Effect, effect_from_text, effect_to_text, effects_to_parameters, kinds, registry
@@ -366,6 +367,22 @@ def test_times_that_were_stamps_are_those_of_the_same_samples(row):
     span = Span(float(STAMPED.time[row]), end_s=float(STAMPED.time[row + 15]))
     back = span.at_stamps(ORIGIN).in_recording(ORIGIN)
     np.testing.assert_array_equal(back.holds(STAMPED.stamps, ORIGIN), span.holds(STAMPED.stamps, ORIGIN))
+
+
+@pytest.mark.parametrize('order', list(permutations(range(3))))
+def test_coupled_gears_do_the_work_of_the_joints_in_whichever_order_they_are_declared(order):
+    """What motors give is what joints take: the torques follow from how the speeds do; a gain is of one motor's own."""
+    body, rng = BODIES['effort'], np.random.default_rng(0)
+    _, second, third = body.joints[:3]
+    declared = [effect_from_text(text) for text in (
+        f'gear_coupling@{second}{{"ratio": 0.3}}', f'gear_coupling@{third}{{"ratio": 0.2}}',
+        f'effort_gain@{third}{{"gain": 0.1}}')]
+    assembly, state = CoupledColumns(body, [declared[index] for index in order]), rng.normal(size=(3, body.n_joints))
+    _, motion, moved = assembly.as_it_is(tuple(state))
+    expected = moved @ (body.regressor(*motion) @ body.base_parameters)
+    expected[2] *= 1.1
+    columns, _ = assembly.one(Sample(0, *state, np.zeros(body.n_outputs)), 0)
+    np.testing.assert_allclose(columns[:, :body.n_parameters] @ body.base_parameters, expected, atol=1e-12)
 
 
 def late_and_uneven() -> Samples:

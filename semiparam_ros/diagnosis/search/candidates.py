@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from semiparam_ros.core.columns import CoupledColumns
+from semiparam_ros.core.columns import CoupledColumns, shaping_order
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array
@@ -90,7 +90,7 @@ def _corrected(fit: Fit, effects: list[Effect]) -> tuple[RigidBody, Samples]:
 
 def _shaped_load(fit: Fit, effects: list[Effect], body: RigidBody, inputs: Samples) -> Array:
     load = body.outputs_of(inputs, fit.rigid_part)[:, :, None] + _of_effects(fit, body, inputs, loads=True)
-    for effect in effects:
+    for effect in shaping_order(effects):
         load = effect.transform(body, load)
     return load
 
