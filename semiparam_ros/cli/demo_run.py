@@ -282,7 +282,7 @@ def carry(args: argparse.Namespace) -> None:
     for record in records.values():
         output.print(record.sentence, highlight=False)
     print_scores(output, {label: score.result() for label, score in scores.items()})
-    events = events_of(records.values(), bag.samples.origin)
+    events = events_of(records.values(), scores['applied'])
     plot_indices(args.output / 'load.png', dict(reversed(scores.items())), events)
     say(f'plot of both: {args.output / "load.png"}')
 

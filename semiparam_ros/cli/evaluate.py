@@ -244,9 +244,9 @@ def _writer_of(rows: list[str], external: ExternalWrench) -> Callable[[Answer, A
     return append
 
 
-def events_of(records: Iterable[ChangeRecord], origin: int) -> list[tuple[float, str]]:
-    """Times [s] since ``origin`` [ns] of what happened to changes of the robot, and what."""
-    return [((stamp - origin) * 1e-9, what) for record in records for stamp, what in record.events]
+def events_of(records: Iterable[ChangeRecord], scores: VariantScores) -> list[tuple[float, str]]:
+    """Times [s] in the series of scores at which something happened to changes of the robot, and what."""
+    return [(scores.time_of(stamp), what) for record in records for stamp, what in record.events]
 
 
 def write_outputs(args: argparse.Namespace, results: dict[str, dict[str, Any]], scores: dict[str, VariantScores],
@@ -264,5 +264,6 @@ def write_outputs(args: argparse.Namespace, results: dict[str, dict[str, Any]], 
     if args.plot:
         from semiparam_ros.report.horizon_figure import plot_indices
 
-        plot_indices(args.plot, scores, events_of((changes or {}).values(), bags[0].samples.origin))
+        first = next(iter(scores.values()))  # changes are told of one variant
+        plot_indices(args.plot, scores, events_of((changes or {}).values(), first))
         options.console.print(f'plot: {args.plot}')

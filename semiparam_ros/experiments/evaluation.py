@@ -45,13 +45,13 @@ class VariantScores:
         self._seconds: list[float] = []
         self._times: list[float] = []
         self._indices: list[tuple[float, ...]] = []
-        self._origin, self._offset = 0, 0.0
+        self._starts = [(0, 0.0)]  # stamp [ns] at which each recording starts, and its time [s] in the series
 
     def start_recording(self, origin: int) -> None:
         """Stamps [ns] from now on belong to another recording, which starts at ``origin`` and
         continues the last."""
-        self._offset = self._times[-1] if self._times else 0.0
-        self._origin = origin
+        start = origin, self._times[-1] if self._times else 0.0
+        self._starts = [*self._starts, start] if self._times else [start]
 
     def add(self, measured: Array, predicted: Array, seconds: float | None = None) -> None:
         """One sample's outputs (n,), the prediction of them, and the time that prediction and
@@ -63,11 +63,17 @@ class VariantScores:
 
     def add_horizon(self, horizon: HorizonErrors) -> None:
         """The horizon errors of one origin."""
-        self._times.append(self._offset + 1e-9 * (horizon.origin - self._origin))
+        origin, offset = self._starts[-1]
+        self._times.append(offset + 1e-9 * (horizon.origin - origin))
         self._indices.append(means(horizon.eps, self.outputs) + means(horizon.eps_centred, self.outputs))
 
     def __len__(self) -> int:
         return len(self._errors)
+
+    def time_of(self, stamp: int) -> float:
+        """Time [s] in the series of a stamp [ns], by the recording in which it lies."""
+        origin, offset = max((start for start in self._starts if start[0] <= stamp), default=self._starts[0])
+        return offset + 1e-9 * (stamp - origin)
 
     @property
     def index_names(self) -> tuple[str, ...]:

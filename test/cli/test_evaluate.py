@@ -223,6 +223,8 @@ def test_time_goes_on_from_one_recording_to_the_next():
     times, values = scores.index_series()
     assert times.tolist() == [0.0, 1.0, 2.0, 2.0, 3.0, 4.0]
     np.testing.assert_allclose(values[0], [0.2, 0.3])
+    stamps = [10**9, 10**18, 10**18 + 10**9]  # where a plot marks what happened then
+    assert [scores.time_of(stamp) for stamp in stamps] == [1.0, 2.0, 3.0]
 
 
 def test_update_times_in_milliseconds():
