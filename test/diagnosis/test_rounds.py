@@ -3,6 +3,7 @@
 import gc
 from dataclasses import replace
 from itertools import pairwise
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from semiparam_ros.core.columns import CoupledColumns
 from semiparam_ros.core.robot.consistency import pseudo_inertia
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
+from semiparam_ros.diagnosis.config import DEFAULTS
 from semiparam_ros.diagnosis.data.outliers import counted_outputs, resting
 from semiparam_ros.diagnosis.diagnose import _unlike, diagnose
 from semiparam_ros.diagnosis.evaluation import evaluation_of
@@ -20,11 +22,11 @@ from semiparam_ros.diagnosis.preparation import ESTIMATED, best_inputs
 from semiparam_ros.diagnosis.regression import Fit, fit_model, refitted, with_effects
 from semiparam_ros.diagnosis.search import stepwise
 from semiparam_ros.diagnosis.search.candidates import added_columns, candidates, held
-from semiparam_ros.diagnosis.search.moves import swapping_moves
+from semiparam_ros.diagnosis.search.moves import Move, swapping_moves
 from semiparam_ros.diagnosis.search.plausibility import all_plausible
 from semiparam_ros.diagnosis.search.refit import declare, gauss_newton
-from semiparam_ros.diagnosis.search.score import gain
-from semiparam_ros.diagnosis.search.stepwise import Rival, Step, _rivalries, search, starting_fit
+from semiparam_ros.diagnosis.search.score import Gain, gain
+from semiparam_ros.diagnosis.search.stepwise import Rival, Step, _rivalries, _rivals, search, starting_fit
 from semiparam_ros.diagnosis.text_report import text_report
 from semiparam_ros.effects import effect_from_text, kinds
 from semiparam_ros.effects.base import Span
@@ -339,6 +341,20 @@ def test_what_was_found_gives_way_to_a_rival_that_more_knowledge_tells_from_it()
     step = Step(added=(force,), rivals=(rival._replace(odds=0.1, effect=force), rival), ranking=(), before=start,
                 after=wrong)
     assert _rivalries(wrong, [step]) == [(force, load)] and _rivalries(right, [step]) == []
+
+
+def test_a_cause_at_several_times_is_one_rival(monkeypatch):
+    """A load with its end open and the same until a time stood side by side, each the likelier one."""
+    fit, known = SimpleNamespace(config=DEFAULTS, residual=np.zeros(1)), kinds('effort')
+    causes = (('external_force', 5), ('payload', 1), ('joint_spring', 0), ('payload', 3), ('payload', 2))
+    moves = [Move((known[kind]('finger', span=Span(float(at))),), SimpleNamespace(residual=np.array(lost)),
+                  Gain(1.0, 0.1), 0.0) for at, (kind, lost) in enumerate(causes)]
+    monkeypatch.setattr(stepwise, 'overlap', lambda *models: 1.0)
+    monkeypatch.setattr(stepwise, 'block_gains', lambda _, other: np.sign(np.arange(0.5, 24.0) - 10.0 - other.residual))
+    force, *rivals = moves
+    found = _rivals(fit, force, rivals)
+    assert [rival.kind for rival in found] == ['joint_spring', 'payload']
+    assert found[1].effect is rivals[0].added[0]
 
 
 def test_a_move_that_comes_to_nothing_does_not_end_the_search(monkeypatch):

@@ -148,8 +148,10 @@ def _made(fit: Fit, best: Move, moves: Sequence[Move], ranking: Sequence[Trial],
 
 
 def _rivals(fit: Fit, chosen: Move, moves: Sequence[Move]) -> tuple[Rival, ...]:
-    """Those as good as the chosen move, with odds from a bootstrap of the blocks."""
-    generator, found, draws = np.random.default_rng(0), [], fit.config.bootstrap_draws
+    """Those as good as the chosen move, with odds from a bootstrap of the blocks; of one cause at several times the
+    likeliest."""
+    generator, draws = np.random.default_rng(0), fit.config.bootstrap_draws
+    found: dict[tuple[str, str | None], Rival] = {}
     known = {(effect.kind, effect.where) for effect in chosen.added}
     for move in moves:
         if len(move.added) > 1 or (move.added[0].kind, move.added[0].where) in known:
@@ -160,9 +162,11 @@ def _rivals(fit: Fit, chosen: Move, moves: Sequence[Move]) -> tuple[Rival, ...]:
         drawn = gains[generator.integers(len(gains), size=(draws, len(gains)))].sum(axis=1)
         better = min(int((drawn > 0.0).sum()), draws - 1)
         if better > 1:
-            rival = move.added[0]
-            found.append(Rival(rival.kind, rival.where, better / (draws - better), rival))
-    return tuple(found)
+            effect = move.added[0]
+            rival = Rival(effect.kind, effect.where, better / (draws - better), effect)
+            earlier = found.pop((effect.kind, effect.where), rival)
+            found[effect.kind, effect.where] = max(rival, earlier, key=lambda each: each.odds)
+    return tuple(found.values())
 
 
 def _report(progress: Progress, number: int, words: str, share: float) -> None:
