@@ -294,7 +294,8 @@ class AsymmetricFriction(_Sliding):
         return bool(coefficients.min() > -DRIVING_SHARE * np.abs(coefficients).sum())
 
     def plainer(self) -> tuple[Effect, ...]:
-        return CoulombFriction(self.where, self.parameters, span=self.span), ViscousFriction(self.where)
+        return (CoulombFriction(self.where, self.parameters, span=self.span),
+                ViscousFriction(self.where, span=self.span))
 
     def sliding(self, direction: Array, velocity: Array) -> Array:
         return np.column_stack([np.maximum(direction, 0.0), np.minimum(direction, 0.0),

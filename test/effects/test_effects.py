@@ -454,6 +454,18 @@ def test_a_kind_whose_functions_take_single_values_is_computed_by_itself_where_t
         np.testing.assert_array_equal(found[[0, 1], [-2, -1]], expected)
 
 
+def test_what_a_friction_is_made_up_of_acts_as_long_as_it_does():
+    """Friction that differs between directions in one recording of several was split into dry friction there and
+    viscous friction in all of them."""
+    body, joint = BODIES['effort'], BODIES['effort'].output_names[0]
+    start, end = STAMPED.time[[10, 20]].tolist()
+    whole = kinds()['asymmetric_friction'](joint, {'turn_speed': 0.1}, span=Span(start, end_s=end))
+    same, parts = (sum(each.columns(body, STAMPED, None)[0].sum(axis=2) for each in effects)
+                   for effects in ([whole], whole.plainer()))
+    assert np.ptp(same) > 0.0
+    np.testing.assert_allclose(parts, same, atol=1e-12)
+
+
 def test_without_a_start_an_effect_is_always_there():
     effect = kinds()['external_force']('r_hand', {'x': 0.1})
     assert effect.at_stamps(ORIGIN) == effect.in_recording(ORIGIN) == effect
