@@ -285,7 +285,8 @@ def outputs_of(diagnosis: Diagnosis, labels: list[str]) -> Figure:
         for name, errors, colour in marks:
             panel.plot(errors, rows, linestyle='none', marker='o', color=colour, label=name)
         every = np.concatenate([floor, *(errors for _, errors, _ in marks)])
-        panel.set(xscale='log', xlim=(0.8 * every.min(), 1.25 * every.max()))
+        shown = every[every > 0.0]  # an output that never changes has no share of its deviation
+        panel.set(xscale='log', xlim=(0.8 * shown.min(), 1.25 * shown.max()) if len(shown) else (0.1, 1.0))
         panel.set_xlabel('held-out root mean square error over the standard deviation of the output')
         _plain_ticks(panel)
         panel.set_yticks(rows, labels)

@@ -171,6 +171,17 @@ def test_a_page_without_findings_shows_one_curve_alone(clean):
     assert 'To declare them' not in text
 
 
+@pytest.mark.filterwarnings('error')
+def test_an_output_that_never_changes_where_it_is_judged_stretches_no_axis(clean):
+    """matplotlib warned on the terminal of a limit of zero, and ignored it."""
+    outputs = clean.after.outputs.copy()
+    outputs[:, 2] = 1.0
+    constant = replace(clean, before=replace(clean.after, outputs=outputs))
+    (panel,) = figures.outputs_of(constant, list(clean.first.body.output_names)).axes
+    (ordinary,) = figures.outputs_of(clean, list(clean.first.body.output_names)).axes
+    assert panel.get_xlim()[0] >= ordinary.get_xlim()[0] > 0.0
+
+
 def test_what_is_to_be_declared_is_what_the_parameter_file_declares(loaded):
     """A load with its start in the recording: a node that was given the line took it up so many seconds late."""
     [finding] = loaded.findings
