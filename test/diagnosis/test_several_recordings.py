@@ -75,6 +75,7 @@ def test_the_page_of_several_recordings_holds_their_offsets_for_no_effects():
     assert len(found.offsets) == 1 and list(found.first.effects) == found.offsets
     text = diagnosis_page(found, {}, 'a, b')
     assert 'sensor_offset' not in text and '<dd>no effects</dd>' in text
+    assert '1000 samples over 49.9 s, one in 50 ms' in text, 'without the pause between them'
 
 
 def test_recordings_of_different_rates_are_joined_at_about_the_slowest():
