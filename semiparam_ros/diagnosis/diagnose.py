@@ -153,9 +153,10 @@ class Diagnosis:
     @property
     def noise_floor_rmse(self) -> Array:
         """(n,) standard deviation of what no model can predict, from the final residual of the held-out samples."""
-        parts = [slice(start, end) for start, end in self.after.parts if end - start > 3]
-        floors = np.array([noise_floor(self.after.residual[part], self.after.counted[part]) for part in parts])
-        weights = np.array([self.after.counted[part].sum(axis=0) for part in parts]) * (floors > 0.0)
+        parts, count = [slice(start, end) for start, end in self.after.parts if end - start > 3], len(self.after.rmse)
+        floors = np.reshape([noise_floor(self.after.residual[part], self.after.counted[part]) for part in parts],
+                            (-1, count))  # none where single samples judge
+        weights = np.reshape([self.after.counted[part].sum(axis=0) for part in parts], (-1, count)) * (floors > 0.0)
         return np.asarray(np.sqrt((floors**2 * weights).sum(axis=0) / np.maximum(weights.sum(axis=0), 1)))
 
     @property

@@ -3,6 +3,7 @@
 import html
 import re
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -432,3 +433,9 @@ def test_interval_and_floor_are_over_the_variance_of_what_counts(rubbing):
 def test_the_noise_floor_is_relative_to_each_output(clean):
     expected = clean.noise_floor_rmse**2 / clean.after.outputs.var(axis=0)
     np.testing.assert_allclose(relative_floor(clean), expected)
+
+
+def test_samples_that_judge_one_by_one_have_no_noise_floor(clean):
+    """Every third one held out of a fit: no run of them is long enough for a third difference."""
+    alone = replace(clean, before=replace(clean.before, parts=tuple(pairwise(range(len(clean.before.residual) + 1)))))
+    assert alone.noise_floor_rmse.tolist() == [row.floor for row in output_rows(alone)] == 6 * [0.0]
