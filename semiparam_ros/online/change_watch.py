@@ -378,23 +378,29 @@ class ChangeWatch:
     def picked(self) -> tuple[bool, Load | None]:
         """Whether a load was picked up or put down, and what is there of it, as far as that is known."""
         loads = [
-            (str(trial.effect.where), trial.coefficients, trial.std)
+            Load(str(trial.effect.where), trial.coefficients, np.diag(trial.std**2))
             for trial in self.applied.applied
             if trial.effect.is_load
         ]
         followed = self._followed
         record = None if followed is None else self.records.get(followed.change.number)
         if record is not None and record.named is not None and record.effect is not None:
-            if record.effect.is_load and not record.effect.ends:
-                loads.append((str(record.effect.where), *record.named.coefficients))
+            if record.effect.is_load:  # what is over was there before, and is no more
+                values, std = record.named.coefficients
+                values = -values if record.effect.ends else values
+                loads.append(Load(str(record.effect.where), values, np.diag(std**2)))
         elif self.detector is not None and record is not None and record.change.kind == Payload.kind:
-            return True, self.detector.load
+            if self.detector.load is None:
+                return True, None
+            loads.append(self.detector.load)
         if not loads:
             return False, None
-        link = loads[0][0]
-        parts = [(values, std) for where, values, std in loads if where == link]
-        total = np.sum([values for values, _ in parts], axis=0)
-        return True, Load(link, total, np.diag(np.sum([std**2 for _, std in parts], axis=0)))
+        parts = [load for load in loads if load.link == loads[0].link]
+        return True, Load(
+            loads[0].link,
+            np.sum([load.parameters for load in parts], axis=0),
+            np.sum([load.covariance for load in parts], axis=0),
+        )
 
     @property
     def _followed(self) -> Followed | None:

@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 
 from semiparam_ros.core.columns import CoupledColumns
+from semiparam_ros.core.robot.frames import last_link
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.diagnosis.change import name_change
+from semiparam_ros.effects.base import Span
 from semiparam_ros.effects.loads import Payload
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.experiments.evaluation import OfflineLearner
@@ -26,6 +28,7 @@ from semiparam_ros.online.change_watch import (
 )
 from semiparam_ros.online.changes import Change, ChangeDetector
 from semiparam_ros.online.diagnosis_jobs import name_change as name_in_background
+from semiparam_ros.online.identified_parameters import Load
 from semiparam_ros.online.learning import Learning, directions_of, learning_after, learning_of
 from support.arms import ODD_ARM, ODD_JOINTS
 from support.changing_arm import (
@@ -751,3 +754,25 @@ def test_no_change_gets_the_number_of_one_that_was_told_as_a_part_of_another():
     assert list(watch.records) == [1]
     watch.forget()
     assert watch._detector_of(columns).number == 2
+
+
+@pytest.mark.parametrize(('span', 'expected'), [
+    (None, 0.7), (Span(start_stamp_s=5.0), 0.9), (Span(end_stamp_s=5.0), 0.1)])
+def test_what_came_or_went_is_told_on_top_of_what_is_applied(span, expected):
+    """Until it had a name the load that was applied was missing, and for ten seconds what was put down was carried."""
+    body, _ = free()
+    link, watch, values = last_link(body), ChangeWatch(body, InlineBackground(), print, print), np.eye(10)[0]
+    watch.applied.offer(1, Payload(link), 0.5 * values, 0.1 * values, 0)
+    watch.applied.switch(watch.applied.trials[0], 10**9)
+    change = Change(2, 5 * 10**9, 6 * 10**9, 'payload', link, 0.2, 0.01, 20.0, ())
+    noticed = Load(link, 0.2 * values, np.diag(0.04 * values))
+    watch.detector = SimpleNamespace(followed=SimpleNamespace(change=change), load=noticed)
+    named = span and SimpleNamespace(effect=Payload(link, {}, span=span),
+                                     coefficients=(0.4 * values, 0.2 * values))
+    watch.records[2] = ChangeRecord(change, named)
+    picked, load = watch.picked
+    assert picked and load.link == link
+    assert load.parameters == pytest.approx(expected * values)
+    assert load.covariance == pytest.approx(0.05 * np.diag(values))
+    watch.detector.load = None
+    assert watch.picked[1] is None or named
