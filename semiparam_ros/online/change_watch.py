@@ -621,16 +621,20 @@ class ChangeWatch:
 
     def _detector_of(self, columns: CoupledColumns) -> ChangeDetector:
         """That of a model, which goes on where the model's columns are those that it had."""
-        known, self._columns = self._columns, columns
+        known = self._columns
         if (
             self.detector is None
             or known is None
             or known.n_own != columns.n_own
             or known.physical != columns.physical
         ):
+            followed = self._followed if self.holds else None
+            self.forget()  # what stood out of another model keeps nothing from being learnt
+            self.follows = None if followed is None else learning_after(followed.change.kind)
             self.detector = ChangeDetector(columns, max(self._forgotten, *self.records, 0))
         elif known.effects != columns.effects:
             self.detector.reset()
+        self._columns = columns
         return self.detector
 
     def _record(self, change: Change) -> None:

@@ -776,3 +776,18 @@ def test_what_came_or_went_is_told_on_top_of_what_is_applied(span, expected):
     assert load.covariance == pytest.approx(0.05 * np.diag(values))
     watch.detector.load = None
     assert watch.picked[1] is None or named
+
+
+@pytest.mark.parametrize(('told', 'follows'), [(True, Learning.AFTER_LOAD), (False, None)])
+def test_what_stood_out_of_a_model_keeps_nothing_from_being_learnt_by_one_of_other_columns(told, follows):
+    """Nothing was learnt until it was known what is usual of the new one, and the load was taken off as long."""
+    body, _ = free()
+    link, watch = last_link(body), ChangeWatch(body, InlineBackground(), print, print)
+    change = Change(1, 5 * 10**9, 6 * 10**9, 'payload', link, 0.2, 0.01, 20.0, ())
+    first = watch._detector_of(CoupledColumns(body))
+    first.followed = SimpleNamespace(change=change) if told else None
+    watch.holds = True
+    watch.applied.assume(Load(link, np.ones(10), np.eye(10)))
+    assert watch._detector_of(CoupledColumns(body)) is first and watch.holds and watch.applied.acts
+    assert watch._detector_of(CoupledColumns(body, physical=True)) is not first
+    assert not watch.holds and not watch.applied.acts and watch.follows == follows
