@@ -144,6 +144,8 @@ class Learner:
             self.history.refill(past)
         self._seen = len(self.history)
         self._failures = 0
+        self._newest_of_state: int | None = None
+        """[ns] That of the state that was loaded, until the next sample comes."""
         self._asked: int | None = None
         self._recent: RecentWindow | None = None
         """That hyperparameters are estimated from; None: the initial window."""
@@ -164,6 +166,7 @@ class Learner:
 
     def offer(self, sample: Sample) -> None:
         """Answer a sample, then learn it."""
+        self._go_on_from_state(sample.stamp)
         if self.tare.active:
             sample = sample._replace(outputs=sample.outputs - self.tare.bias)
         measured = sample.outputs
@@ -174,8 +177,7 @@ class Learner:
         if prediction is None:
             self.lost += 1
             return
-        changes = self.gate.changes
-        ahead = self.changes.applied.taken_ahead  # a hand may do that
+        changes, ahead = self.gate.changes, self.changes.applied.taken_ahead  # a hand may do what is ahead
         as_told = prediction._replace(sample=sample._replace(outputs=sample.outputs + ahead))
         contact = self.gate.judge(as_told, self.settings, self._renewal.unsettled)
         if self.gate.changes > changes:
@@ -202,6 +204,13 @@ class Learner:
                 self._end_window()
             elif renews:
                 self._renew()
+
+    def _go_on_from_state(self, stamp: int) -> None:
+        """The clock was set back where the first sample is older than the state: as of a simulation that began anew,
+        whose topics know no other time."""
+        newest, self._newest_of_state = self._newest_of_state, None
+        if newest is not None and stamp < newest:
+            self.clear_pending()
 
     def _look_for_changes(self, prediction: Prediction) -> None:
         """Whatever goes wrong there, the sample is learnt."""
@@ -446,6 +455,8 @@ class Learner:
         self._begin(saved.settings, saved.estimator, saved.batch, saved.renewal)
         self.gate.restore(saved.gate)
         self.changes.applied.restore(saved.applied)
+        latest = self.history.latest()
+        self._newest_of_state = None if latest is None else latest.stamp
 
     def state(self) -> SavedState:
         """State that :meth:`restore` takes back."""

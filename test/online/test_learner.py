@@ -20,6 +20,7 @@ import pytest
 from semiparam_ros.bags.readings import Reading
 from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.diagnosis.setup.identifiability import unidentifiable
+from semiparam_ros.effects import effect_from_text
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.experiments.evaluation import OfflineLearner
 from semiparam_ros.online import diagnosis_jobs, learner, model_jobs, state_file, transport, worker
@@ -605,6 +606,23 @@ def test_the_first_sample_after_a_jump_of_the_clock_is_answered_and_not_learnt(j
     stage.offer(later([wrong, *samples[151:]], jump))
     assert [answer.learnt for answer in stage.answers[150:]] == [False] + [True] * 49
     assert np.abs([answer.residual for answer in stage.answers[151:]]).max() < 1.0
+
+
+def test_a_state_from_a_time_that_is_to_come_is_gone_on_from_as_after_a_jump_of_the_clock():
+    """Of a simulation that began anew the gate stayed closed as long as the one before had run, and a load that is
+    taken off was missing in the samples as measured."""
+    samples, stage, again = motion(200), *(Stage(SETTINGS, InlineBackground()) for _ in range(2))
+    stage.offer(samples[:150])
+    gate, applied, newest = stage.learner.gate, stage.learner.changes.applied, samples[149].stamp
+    gate.closed, gate._closed_since, gate._calm_since = True, newest, newest
+    applied.offer(1, effect_from_text('sensor_offset'), np.ones(6), np.ones(6), newest)
+    applied.switch(applied.trials[0], newest)
+    for delay in (0.0, -3600.0):
+        again.learner.restore(pickle.loads(pickle.dumps(stage.learner.state())))
+        again.offer(later(samples[150:151], delay))
+        assert again.learner.gate.closed == (delay == 0.0)
+        (taken_off,) = again.learner.changes.applied.contributions
+        assert (taken_off.effect.span.start_stamp_s is None) == (delay < 0.0)
 
 
 def test_history_keeps_the_first_and_the_latest():
