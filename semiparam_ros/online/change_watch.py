@@ -458,7 +458,7 @@ class ChangeWatch:
             self.applied.compare(*detector.weighed, self.applies)
         if block is not None and detector.knows:
             held = self.holds
-            self._hold(detector)
+            self._hold(detector, change is not None)
             self.begins_to_hold = self.holds and (self.begins_to_hold or not held)
             self._assume(detector)
         if self._due and not self._naming and self._moved_s >= self._due[0][0]:
@@ -542,11 +542,16 @@ class ChangeWatch:
             self.records[number] = replace(record, decisions=(*record.decisions, decision))
             self._told(self.records[number])
 
-    def _hold(self, detector: ChangeDetector) -> None:
-        """Keep what stands out from being learnt until it is known what it is."""
+    def _hold(self, detector: ChangeDetector, now: bool) -> None:
+        """Keep what stands out from being learnt until it is known what it is.
+
+        :param now: whether a change was told just now.
+        """
         followed = detector.followed
         told = followed is not None and not self.applies  # it is learnt
         waits = followed is not None and not told and self._waits(followed.change.number)
+        if followed is not None and told and self.holds and not now:  # it waited to be applied, which nothing is now
+            self.follows = learning_after(followed.change.kind)
         if told or not (detector.stands_out or waits):
             self.holds, self._held_s = False, max(self._held_s - BLOCK_S, 0.0)
         elif self._held_s >= HELD_S:

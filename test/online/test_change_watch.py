@@ -791,3 +791,20 @@ def test_what_stood_out_of_a_model_keeps_nothing_from_being_learnt_by_one_of_oth
     assert watch._detector_of(CoupledColumns(body)) is first and watch.holds and watch.applied.acts
     assert watch._detector_of(CoupledColumns(body, physical=True)) is not first
     assert not watch.holds and not watch.applied.acts and watch.follows == follows
+
+
+@pytest.mark.parametrize(('now', 'follows'), [(False, Learning.AFTER_LOAD), (True, None)])
+def test_what_waited_to_be_applied_is_followed_when_nothing_is_applied_any_more(now, follows):
+    """After ``diagnosis.auto`` went from ``apply`` to ``report`` the load was learnt as if the arm had not changed: the
+    errors were twice the usual ones while it was carried, and after it. What is told just now is followed anyway."""
+    body, _ = free()
+    watch = ChangeWatch(body, InlineBackground(), print, print)
+    change = Change(1, 5 * 10**9, 6 * 10**9, 'payload', last_link(body), 0.2, 0.01, 20.0, ())
+    watch.detector = SimpleNamespace(followed=SimpleNamespace(change=change), stands_out=False)
+    watch.records[1], watch.holds = ChangeRecord(change), True
+    watch.applies = True
+    watch._hold(watch.detector, False)
+    assert watch.holds and watch.follows is None
+    watch.applies = False
+    watch._hold(watch.detector, now)
+    assert not watch.holds and watch.follows == follows
