@@ -245,8 +245,10 @@ def _writer_of(rows: list[str], external: ExternalWrench) -> Callable[[Answer, A
 
 
 def events_of(records: Iterable[ChangeRecord], scores: VariantScores) -> list[tuple[float, str]]:
-    """Times [s] in the series of scores at which something happened to changes of the robot, and what."""
-    return [(scores.time_of(stamp), what) for record in records for stamp, what in record.events]
+    """Times [s] in the series of scores at which something happened to changes of the robot, and what; nothing of
+    recordings that were learnt before."""
+    return [(time_s, what) for record in records for stamp, what in record.events
+            if (time_s := scores.time_of(stamp)) >= 0.0]
 
 
 def write_outputs(args: argparse.Namespace, results: dict[str, dict[str, Any]], scores: dict[str, VariantScores],

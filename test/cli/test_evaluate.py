@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from rich.console import Console
 
 from semiparam_ros.bags.reader import open_bag
 from semiparam_ros.bags.writer import BagWriter
-from semiparam_ros.cli.evaluate import print_scores
+from semiparam_ros.cli.evaluate import events_of, print_scores
 from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.horizon_error import HorizonErrors
 from semiparam_ros.core.model import ModelOptions
@@ -225,6 +226,8 @@ def test_time_goes_on_from_one_recording_to_the_next():
     np.testing.assert_allclose(values[0], [0.2, 0.3])
     stamps = [10**9, 10**18, 10**18 + 10**9]  # where a plot marks what happened then
     assert [scores.time_of(stamp) for stamp in stamps] == [1.0, 2.0, 3.0]
+    records = [SimpleNamespace(events=[(-10**9, 'while it was trained'), (stamps[1], 'payload begins')])]
+    assert events_of(records, scores) == [(2.0, 'payload begins')]
 
 
 def test_update_times_in_milliseconds():
