@@ -135,10 +135,10 @@ def _ranked(fit: Fit, known: Sequence[Effect], since_s: tuple[float, float],
     """Every effect that may have begun, and every one that is known and may be over, the likeliest
     first."""
     begun = (_tried(fit, effect, since_s, ended_s) for effect in _candidates(fit))
-    over = [_over(fit, effect, since_s) for effect in known
+    over = (_over(fit, effect, since_s) for effect in known
             if (effect.changes or effect.may_come) and not effect.ends and ended_s is None
-            and (effect.span.start_s or -math.inf) < since_s[1]]
-    return sorted([*filter(None, begun), *over], key=lambda trial: -trial.net)
+            and (effect.span.start_s or -math.inf) < since_s[1])
+    return sorted(filter(None, (*begun, *over)), key=lambda trial: -trial.net)
 
 
 def _likeliest(tried: Sequence[Move]) -> Move | None:
@@ -263,12 +263,16 @@ def _near(fit: Fit, between_s: tuple[float, float]) -> tuple[float, float]:
     return first - fit.config.change_before_s, last + fit.config.change_after_s
 
 
-def _over(fit: Fit, effect: Effect, since_s: tuple[float, float]) -> Move:
-    """An effect that the model holds, with its end near a time."""
+def _over(fit: Fit, effect: Effect, since_s: tuple[float, float]) -> Move | None:
+    """An effect that the model holds, with its end near a time; None of a body that would weigh less than nothing, for
+    then another was picked up."""
     kept = [known for known in fit.effects if known is not effect]
     over = with_best_edge(with_effects(fit, kept), effect, 'end_s', _near(fit, since_s))
     after = refit_weights(
         with_effects(fit, [over if known is effect else known for known in fit.effects]))
+    block = after.assembly.blocks[str(after.effects.index(over))]
+    if effect.is_body and not over.physical(after.theta[block]):
+        return None
     gained = gain(fit, after, [float(over.end_s or since_s[1])])
     return Move((over,), after, gained, math.log(fit.config.start_grid))
 

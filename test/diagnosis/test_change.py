@@ -13,6 +13,7 @@ from semiparam_ros.diagnosis.change import name_change
 from semiparam_ros.diagnosis.config import DEFAULTS
 from semiparam_ros.diagnosis.search.moves import Move
 from semiparam_ros.diagnosis.search.score import Gain
+from semiparam_ros.diagnosis.search.stepwise import starting_fit
 from semiparam_ros.effects import effect_from_text, kinds
 from semiparam_ros.experiments.scoreboard import body_of, samples_of
 from semiparam_ros.simulation.scenario import EffectRequest, Scenario
@@ -53,6 +54,19 @@ def test_a_load_is_named_at_either_hand(hand):
     named = name_change(body, samples, [], 25.5)
     assert named.effect is not None and (named.effect.kind, named.effect.where) == ('payload', hand)
     assert named.parameters['mass'].value == pytest.approx(1.5, rel=0.02)
+
+
+@pytest.mark.parametrize('put_down', [False, True])
+def test_a_load_is_over_where_it_weighed_something(put_down):
+    """Of a robot that picked up another load, the declared one was thought to be over, with a mass below zero."""
+    body = RigidBody.from_urdf(TWO_ARMS, TWO_ARMS_JOINTS, 'effort')
+    motion, known = smooth_motion(5, 800), kinds()['payload']('a_fore')
+    exact, there = body.outputs_of(motion, body.base_parameters), (motion.time < 25.0) == put_down
+    load = known.columns(body, motion, None)[0] @ np.array([1.5, 0.0, 0.0, 0.15, 0.02, 0.0, 0.02, 0.0, 0.0, 0.005])
+    noise = 0.01 * exact.std(axis=0) * np.random.default_rng(0).standard_normal(exact.shape)
+    samples = replace(motion, outputs=exact + noise + load * there[:, None])
+    fit = starting_fit(body, samples, [known], np.ones(len(samples), dtype=bool))
+    assert (change._over(fit, known, (25.5, 25.5)) is not None) == put_down
 
 
 def test_a_zero_slips_at_any_joint_whatever_links_are_called():

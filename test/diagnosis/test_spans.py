@@ -10,7 +10,9 @@ import pytest
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.diagnosis.config import DEFAULTS
 from semiparam_ros.diagnosis.diagnose import diagnose
-from semiparam_ros.diagnosis.search.moves import Move, simplest
+from semiparam_ros.diagnosis.search.moves import Move, ending_moves, simplest
+from semiparam_ros.diagnosis.search.plausibility import all_plausible
+from semiparam_ros.diagnosis.search.refit import declare
 from semiparam_ros.diagnosis.search.score import Gain, block_gains, gain
 from semiparam_ros.diagnosis.search.stepwise import starting_fit
 from semiparam_ros.diagnosis.text_report import summary, text_report
@@ -104,6 +106,18 @@ def test_the_block_that_tells_a_searched_time_does_not_count():
     without, with_it = (starting_fit(BODY, samples, effects, np.ones(COUNT, dtype=bool)) for effects in ([], [load]))
     each = block_gains(without, with_it)
     assert gain(without, with_it, [0.5 * END_S]).total == pytest.approx(each.sum() - each.max())
+
+
+def test_what_weighs_less_than_nothing_was_not_put_down():
+    """Of a robot that picked up another load, the declared one was told to end then, with the other's mass below zero;
+    and the other was refused where it left the declared one nothing to weigh."""
+    def fit(*span):
+        return starting_fit(BODY, carrying(span), [kinds()['payload']('tool')], np.ones(COUNT, dtype=bool))
+
+    picked_up, put_down = fit(0.4 * END_S, None), fit(None, 0.6 * END_S)
+    assert not ending_moves(picked_up)
+    assert [move.added[0].end_s for move in ending_moves(put_down)] == [pytest.approx(0.6 * END_S, abs=0.15)]
+    assert all_plausible(picked_up, declare(picked_up, [kinds()['payload']('tool', span=Span(0.4 * END_S))]))
 
 
 def test_a_load_that_stays_is_not_ended():

@@ -10,7 +10,7 @@ from typing import NamedTuple
 from semiparam_ros.diagnosis.data.recordings import breaks_s
 from semiparam_ros.diagnosis.regression import Fit, with_effects
 from semiparam_ros.diagnosis.search.candidates import Place, added_columns, identity, others
-from semiparam_ros.diagnosis.search.plausibility import all_plausible, prices, without_impossible
+from semiparam_ros.diagnosis.search.plausibility import all_plausible, plausible, prices, without_impossible
 from semiparam_ros.diagnosis.search.refit import declare
 from semiparam_ros.diagnosis.search.revision import formed_anew, pruned, reshaped
 from semiparam_ros.diagnosis.search.score import Gain, gain
@@ -83,16 +83,17 @@ def repeated_moves(fit: Fit, ranking: Sequence[Trial], kinds: dict[str, type[Eff
 
 
 def ending_moves(fit: Fit) -> list[Move]:
-    """What the model holds and may be over: a load that was put down."""
+    """What the model holds and may be over: a load that was put down. One that weighs less than nothing was not there:
+    another was picked up when it would be over."""
     moves = []
-    for effect in fit.effects:
+    for number, effect in enumerate(fit.effects):
         of_recording = effect.own_in_each_recording and effect.start_s in breaks_s(fit.samples)
         if effect.changes and effect.end_s is None and not of_recording:
             rest = with_effects(fit, others(fit, effect))
             first, *_, last = fit.samples.time[fit.train_mask].tolist()
             ended = with_best_edge(rest, effect, 'end_s', (max(first, effect.start_s or first), last))
             after = declare(with_effects(fit, [ended if known is effect else known for known in fit.effects]), [])
-            if all_plausible(fit, after):
+            if all_plausible(fit, after) and plausible(after, number):
                 moves.append(Move((ended,), after, gain(fit, after, [float(ended.end_s or last)]),
                                   math.log(fit.config.start_grid)))
     return moves

@@ -15,6 +15,7 @@ from semiparam_ros.diagnosis.regression import Fit, with_effects
 from semiparam_ros.diagnosis.search.candidates import Place, identity
 from semiparam_ros.diagnosis.search.refit import declare
 from semiparam_ros.effects import Effect
+from semiparam_ros.effects.base import ALWAYS
 
 
 def all_plausible(before: Fit, after: Fit) -> bool:
@@ -47,6 +48,8 @@ def plausible(fit: Fit, index: int) -> bool:
     if not effect.is_load:
         return effect.conceivable(fit.body, theta)
     covariance = fit.theta_covariance()[block, block] * float(fit.correlation.mean())
+    if effect.must_start and effect.span == ALWAYS:  # declared: no motion tells what it weighs from what its link does
+        return _is_a_body(fit, theta, covariance)
     return effect.conceivable(fit.body, theta) and _weighs(fit, theta, covariance) and not (
         effect.is_body and not _is_a_body(fit, theta, covariance))
 
