@@ -63,7 +63,7 @@ def _add_robot_options(group: argparse._ArgumentGroup) -> None:
                        help='of the true inertias, to meet the same robot again (default: the seed)')
     group.add_argument('--outputs', choices=('wrench', 'effort'), help='what is measured (default: wrench)')
     group.add_argument('--urdf', type=Path, metavar='FILE', help="another arm than the package's own")
-    group.add_argument('--joints', nargs='+', metavar='JOINT', help='joints that move (default: all)')
+    group.add_argument('--joints', nargs='+', metavar='JOINT', help='joints that move (default: all that turn)')
     group.add_argument('--sensor-frame', metavar='FRAME', help='link or fixed joint of the force/torque sensor')
     group.add_argument('--convention', choices=('action', 'reaction'),
                        help='sign of the wrench (default: reaction)')

@@ -17,6 +17,8 @@ from semiparam_ros.core.samples import Samples
 from semiparam_ros.settings import Settings, dump_params, load_params
 from semiparam_ros.settings.build import build_rigid_body
 from semiparam_ros.simulation.robots import ICUB_JOINTS, arm_of
+from semiparam_ros.simulation.scenario import Scenario
+from support.arms import ODD_ARM, ODD_JOINTS
 from support.commands import refusal
 
 BUNDLED_WITH_ZSTD = (1, 5, 7)
@@ -78,6 +80,15 @@ def test_efforts_travel_in_the_joint_states(tmp_path):
     assert set(open_bag(bag).topics) == {'/robot_description', '/joint_states'}
     last = list(open_bag(bag).messages(['/joint_states']))[-1].data
     assert len(last.effort) == 4
+
+
+def test_a_sliding_joint_moves_when_it_is_named_as_the_help_says():
+    scenario = Scenario(outputs='effort', urdf=ODD_ARM)
+    assert 'lift' not in arm_of(scenario).joints
+    assert 'lift' in arm_of(replace(scenario, joints=ODD_JOINTS)).joints
+    parser = argparse.ArgumentParser()
+    add_arguments(parser)
+    assert 'default: all that turn' in ' '.join(parser.format_help().split())
 
 
 def test_parameters_of_the_bundled_arm(repository):
