@@ -176,7 +176,13 @@ class Fit:
         normal = np.diag(self.prior_deviation ** -2.0)
         for gram, support, scale in zip(self.grams, self.support, self.scale, strict=True):
             normal[np.ix_(support, support)] += gram / scale**2
-        return cho_factor(normal)  # type: ignore[no-any-return]
+        try:
+            return cho_factor(normal)  # type: ignore[no-any-return]
+        except np.linalg.LinAlgError:
+            size = np.sqrt((self.used(self.samples.outputs) ** 2).sum(axis=0) / self.counts)
+            if np.all(self.scale**2 > ROUNDED * size**2):  # no wonder where there is next to no noise
+                raise
+            return cho_factor(normal + ROUNDED * np.diag(np.diag(normal)))  # type: ignore[no-any-return]
 
     @property
     def rigid_part(self) -> Array:

@@ -22,6 +22,7 @@ from semiparam_ros.diagnosis.diagnose import VERDICTS, diagnose
 from semiparam_ros.diagnosis.evaluation import evaluate_here, evaluate_there
 from semiparam_ros.diagnosis.findings import Quantity
 from semiparam_ros.diagnosis.regression import fit_model
+from semiparam_ros.diagnosis.residual.formula import _pursuit
 from semiparam_ros.diagnosis.residual.noise import noise_floor
 from semiparam_ros.diagnosis.search.candidates import added_columns
 from semiparam_ros.diagnosis.search.refit import declare
@@ -552,6 +553,24 @@ def test_a_recording_of_which_too_little_is_left_is_refused(count, period_ns, ev
                for index, sample in enumerate(motion(count))]
     with pytest.raises(SemiparamError, match='0 samples of the recording, averaged to at least 40 Hz, are left'):
         diagnose(SMALL_ARM, Samples.from_list(samples))
+
+
+def test_a_recording_without_noise_in_which_a_joint_never_moves_is_diagnosed():
+    """It was refused as one in other units, or ended in an internal error for a formula of what rounding leaves."""
+    moved, still = smooth_motion(4, 400), np.arange(4) == 3
+    held = [values * ~still for values in (moved.position, moved.velocity, moved.acceleration)]
+    samples = replace(moved, position=held[0] + 0.3 * still, velocity=held[1], acceleration=held[2])
+    body = icub()
+    exact = replace(samples, outputs=body.regressors(samples) @ (1.15 * body.base_parameters))
+    assert diagnose(body, exact, only=['time_delay']).verdict == 'nothing_missing'
+
+
+def test_a_formula_of_what_is_small_is_that_of_what_is_large():
+    """The pursuit took what is small for nothing, and then ended in an internal error."""
+    columns = np.random.default_rng(0).standard_normal((400, 8))
+    values = columns @ np.array([3.0, 0.0, -1.0, 0.0, 0.0, 0.5, 0.0, 0.0])
+    assert [_pursuit(columns, scale * values, 3) for scale in (1.0, 1e-12)] == [[0, 2, 5]] * 2
+    assert _pursuit(columns, np.ones(400), 3) == []
 
 
 def test_a_recording_without_motion_is_refused():

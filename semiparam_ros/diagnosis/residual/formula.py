@@ -175,15 +175,19 @@ def find_formula(variables: Sequence[str], body: RigidBody, samples: Samples, va
 
 
 def _pursuit(columns: Array, values: Array, most: int) -> list[int]:
-    """Numbers of the columns in the order in which they come in."""
+    """Numbers of the columns in the order in which they come in; the values' size, however small, changes nothing."""
     from sklearn.linear_model import orthogonal_mp  # a second of loading, for the few who need it
 
     moved = columns - columns.mean(axis=0)
     moved /= np.linalg.norm(moved, axis=0) + 1e-12
+    targets = values - values.mean()
+    targets /= np.linalg.norm(targets) + 1e-300  # the pursuit takes what is small for nothing
     steps = min(most, moved.shape[1])
     with warnings.catch_warnings():
         warnings.simplefilter('ignore', RuntimeWarning)  # terms that depend on one another end the pursuit early
-        path = orthogonal_mp(moved, values - values.mean(), n_nonzero_coefs=steps, return_path=True)
+        path = orthogonal_mp(moved, targets, n_nonzero_coefs=steps, return_path=True)
+    if not path.size:  # nor does anything of what stays the same
+        return []
     present = np.atleast_2d(path.reshape(moved.shape[1], -1) != 0.0)
     entered = np.where(present.any(axis=1), present.argmax(axis=1), steps + 1)
     return [int(index) for index in np.argsort(entered, kind='stable') if entered[index] <= steps]
