@@ -28,6 +28,7 @@ from semiparam_ros.effects import effect_from_text
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.simulation.scenario import EffectRequest, Scenario
 from semiparam_ros.simulation.simulate import simulate
+from support import arms
 from support.arms import (
     ICUB_JOINTS,
     ICUB_OWN,
@@ -36,6 +37,7 @@ from support.arms import (
     ODD_JOINTS,
     as_recorded,
     icub_table,
+    link,
     smooth_motion,
 )
 
@@ -586,6 +588,33 @@ def test_a_joint_that_hardly_slides_is_named_in_metres():
     samples = smooth_motion(4, 400)
     held = replace(samples, position=samples.position * np.array([0.01, 1.0, 1.0, 1.0]), outputs=samples.velocity)
     assert any(note.startswith('lift (0.0') and ' m) hardly moved' in note for note in unidentifiable(body, held))
+
+
+GANTRY = '<robot name="gantry">' + ''.join([
+    link('base'), link('bridge', 5.0), link('quill', 2.0),
+    arms.joint('across', 'prismatic', 'base', 'bridge', axis='1 0 0'),
+    arms.joint('down', 'prismatic', 'bridge', 'quill', axis='0 0 -1')]) + '</robot>'
+
+
+@pytest.mark.parametrize(('factors', 'found'), [
+    ({'position': 1e3, 'velocity': 1e3}, 'are in millimetres: publish them in m and m/s.'),
+    ({'position': 57.3}, "The position of 'across' changes 57.")])
+def test_what_slides_is_in_no_degrees(factors, found):
+    """It was told to be in degrees."""
+    body = RigidBody.from_urdf(GANTRY, ('across', 'down'), 'effort')
+    made = as_recorded(body, smooth_motion(2, 800))
+    assert setup_problems(body, made) == []
+    sentences = [problem.sentence for problem in setup_problems(
+        body, replace(made, **{role: factor * getattr(made, role) for role, factor in factors.items()}))]
+    assert found in sentences[0] and not any('degrees' in sentence for sentence in sentences)
+
+
+def test_efforts_of_joints_that_slide_are_told_to_be_forces():
+    """They were to be published in N m, all of them."""
+    body = RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, 'effort')
+    made = as_recorded(body, smooth_motion(4, 800))
+    sentences = [problem.sentence for problem in setup_problems(body, replace(made, outputs=1e3 * made.outputs))]
+    assert sentences[0].endswith(': publish it in N or N m.')
 
 
 @pytest.mark.parametrize('count', [1, 2, 5])

@@ -190,11 +190,11 @@ def motion_problems(body: RigidBody, samples: Samples, usable: Mask,
             problems.append(SetupProblem('velocity_missing', name, (
                 f"The position of '{name}' changes far more than its velocity says: have the driver "
                 'publish velocities.')))
-        elif (found := _velocity(name, ratio, config)) is not None:
+        elif (found := _velocity(name, ratio, name in body.prismatic, config)) is not None:
             problem, role, factor = found
             problems.append(problem)
             right = relabelled(right, (role,), factors=_factors(len(joints), joint, factor))
-    return problems + _accelerations(joints, samples, right, moving, config), right
+    return problems + _accelerations(body, samples, right, moving, config), right
 
 
 def relabelled(samples: Samples, roles: Sequence[str], order: Stamps | slice = slice(None),
@@ -353,11 +353,12 @@ def _clock(samples: Samples, ratios: list[float], config: DiagnosisConfig) -> li
         f'the stamps (for a text table: semiparam convert --period {factor * step:.4g}, or --time-unit).'))]
 
 
-def _velocity(name: str, ratio: float, config: DiagnosisConfig) -> tuple[SetupProblem, str, float] | None:
-    """What a joint's ratio says, and which role times which factor puts it right."""
+def _velocity(name: str, ratio: float, slides: bool,
+              config: DiagnosisConfig) -> tuple[SetupProblem, str, float] | None:
+    """What a joint's ratio says, and which role times which factor puts it right; what slides is in no degrees."""
     if math.isnan(ratio) or _agrees(ratio, 1.0, config) or _agrees(ratio, -1.0, config):
         return None
-    for known, (role, unit, factor) in MOTION_UNITS.items():
+    for known, (role, unit, factor) in {} if slides else MOTION_UNITS.items():
         if _agrees(ratio, known, config):
             right = 'rad' if role == 'position' else 'rad/s'
             return SetupProblem(f'{role}_units', name, (
@@ -369,19 +370,20 @@ def _velocity(name: str, ratio: float, config: DiagnosisConfig) -> tuple[SetupPr
         'and the units in the driver.')), 'velocity', ratio
 
 
-def _accelerations(joints: Sequence[str], samples: Samples, right: Samples, moving: Array,
+def _accelerations(body: RigidBody, samples: Samples, right: Samples, moving: Array,
                    config: DiagnosisConfig) -> list[SetupProblem]:
     """Accelerations that contradict the velocities as they are recorded and as they should be."""
     recorded = _spans(samples.time, samples.velocity, samples.acceleration, config)
     corrected = _spans(samples.time, right.velocity, samples.acceleration, config)
     found = []
-    for joint, name in enumerate(joints):
+    for joint, name in enumerate(body.joints):
         if not moving[joint] or _agrees(_ratio(recorded[0][:, joint], recorded[1][:, joint], config), 1.0, config):
             continue
         ratio = _ratio(corrected[0][:, joint], corrected[1][:, joint], config)
         found += [SetupProblem(what, name, (
             f"The measured acceleration of '{name}' {said}, or set acceleration.source to filter."))
-            for known, what, said in ACCELERATIONS if _agrees(ratio, known, config)]
+            for known, what, said in ACCELERATIONS[:1 if name in body.prismatic else None]
+            if _agrees(ratio, known, config)]
     return found
 
 
@@ -452,9 +454,22 @@ def _alternatives(body: RigidBody, samples: Samples, config: DiagnosisConfig) ->
     yield from _other_directions(body, samples)
     yield from _other_orders(body, samples)
     yield from _exchanged_outputs(body, samples)
-    yield Alternative(relabelled(samples, MOTION, factors=DEGREE), SetupProblem('position_units', None, (
-        'Positions and velocities are in degrees: publish them in rad and rad/s (for a text table: semiparam convert '
-        '--degrees).')))
+    yield from _other_motion_units(body, samples)
+
+
+def _other_motion_units(body: RigidBody, samples: Samples) -> Iterator[Alternative]:
+    """Joints that turn in degrees, and those that slide in millimetres."""
+    slides = np.array([name in body.prismatic for name in body.joints])
+    said = 'Positions and velocities are in degrees: publish them in rad and rad/s (for a text table: semiparam ' \
+        'convert --degrees).' if not slides.any() else \
+        'Positions and velocities of the joints that turn are in degrees: publish them in rad and rad/s.'
+    if not slides.all():
+        yield Alternative(relabelled(samples, MOTION, factors=np.where(slides, 1.0, DEGREE)),
+                          SetupProblem('position_units', None, said))
+    if slides.any():
+        yield Alternative(relabelled(samples, MOTION, factors=np.where(slides, 1e-3, 1.0)), SetupProblem(
+            'position_units', None, 'Positions and velocities of the joints that slide are in millimetres: publish '
+            'them in m and m/s.'))
 
 
 def _other_signs(body: RigidBody, samples: Samples) -> Iterator[Alternative]:
@@ -576,7 +591,7 @@ def unit_problems(body: RigidBody, samples: Samples,
             found.append(SetupProblem('output_units', body.sensor_frame, (
                 f'The {name} is {unit:.3g} times what the robot description predicts, as if it '
                 f'were in {OUTPUT_UNITS[unit]}: publish it in '
-                f'{"N" if name == "force" else "N m"}.')))
+                f'{" or ".join(dict.fromkeys(body.output_units[channels]))}.')))
             factors[channels] /= unit
     return found, relabelled(samples, ('outputs',), factors=factors)
 
