@@ -7,6 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+import yaml
 from matplotlib.colors import to_hex
 
 from semiparam_ros.core.robot.rigid_body import RigidBody
@@ -18,7 +19,7 @@ from semiparam_ros.diagnosis.residual.structure import Structure
 from semiparam_ros.diagnosis.search.scoring import Trial
 from semiparam_ros.diagnosis.search.stepwise import Rival, Step
 from semiparam_ros.diagnosis.text_report import error_text, next_step, table_rows, text_report
-from semiparam_ros.effects import Effect, effect_from_text, kinds
+from semiparam_ros.effects import Effect, effect_from_text, effect_to_text, kinds
 from semiparam_ros.effects.base import Span
 from semiparam_ros.experiments.scoreboard import body_of, samples_of
 from semiparam_ros.report import diagnosis_figures as figures
@@ -170,6 +171,14 @@ def test_a_page_without_findings_shows_one_curve_alone(clean):
     assert 'what the effect explains' not in text
     assert 'before and after' not in text
     assert 'To declare them' not in text
+
+
+def test_what_the_page_declares_is_yaml_whatever_a_joint_is_called(rubbing, monkeypatch):
+    """An apostrophe in a name ended the text."""
+    strange = [replace(effect, where=f"the arm's {effect.where}") for effect in rubbing.standing]
+    monkeypatch.setattr(type(rubbing), 'standing', strange)
+    shown = re.search(r'<pre>(effects:.*?)</pre>', diagnosis_page(rubbing, {}, TITLE), re.DOTALL)[1]
+    assert yaml.safe_load(html.unescape(shown))['effects'] == [effect_to_text(effect) for effect in strange]
 
 
 @pytest.mark.filterwarnings('error')
