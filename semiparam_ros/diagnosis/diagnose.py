@@ -12,7 +12,7 @@ import numpy as np
 
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
-from semiparam_ros.core.types import Array, Mask
+from semiparam_ros.core.types import Array, Indices, Mask
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
 from semiparam_ros.diagnosis.data.outliers import excluded, gaps, margin, untouched, working_factor
 from semiparam_ros.diagnosis.data.recordings import (
@@ -58,12 +58,17 @@ VERDICTS = ('effect_found', 'nothing_missing', 'unexplained')
 
 
 class Recorded(NamedTuple):
-    """The recordings as they came, before smoothing: what may fit (``fitting`` (N,)), and what judges (``valid``)."""
+    """The recordings as they came, before smoothing: what may fit (``fitting`` (N,)), and what judges (``valid``).
+
+    ``numbers`` (N,): those of the samples among all that came, where a remainder of each of several recordings is left
+    out; None where nothing is.
+    """
 
     samples: Samples
     fitting: Mask
     judged: Samples
     valid: Mask
+    numbers: Indices | None = None
 
 
 class Elsewhere(NamedTuple):
@@ -205,6 +210,8 @@ class Diagnosis:
         """Sample numbers of the recording that judged, half-open."""
         inputs, mask = (self.inputs, self.judged) if self.elsewhere is None else self.elsewhere[2:]
         parts = [[inputs.factor * edge for edge in part] for part in ranges(mask)]
+        if self.elsewhere is None and (numbers := self.recorded.numbers) is not None:
+            parts = [[int(numbers[start]), int(numbers[end - 1]) + 1] for start, end in parts]
         return {'recording': self.elsewhere.name if self.elsewhere else None, 'ranges': parts}
 
 
@@ -316,7 +323,7 @@ def _first_model(body: RigidBody, samples: Samples, effects: Sequence[Effect],
     faster = fast_enough(first, samples, inputs)
     if faster != config:
         return _first_model(body, given, effects, train_mask, other, faster, touched)
-    recorded, elsewhere = Recorded(samples, clean & may_fit, samples, clean & ~may_fit), None
+    recorded, elsewhere = Recorded(samples, clean & may_fit, samples, clean & ~may_fit, kept), None
     if other is not None:
         recorded = Recorded(samples, clean & may_fit, other[1], ~excluded(other[1], config))
         there = inputs._replace(factor=working_factor(other[1], config))

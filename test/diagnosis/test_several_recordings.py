@@ -68,6 +68,20 @@ def test_a_load_in_some_of_the_recordings_is_found_there(outputs, loaded):
     assert (found.judged == found.held_out).all(), 'what begins with a recording begins at a known time'
 
 
+def test_the_samples_that_judged_are_numbered_as_they_came():
+    """Those of the second recording were numbered without what the first had more than whole groups of samples."""
+    body, (first, second, _) = recorded('wrench')
+    fast = [replace(part, stamps=part.stamps // 10) for part in (first[:497], second)]
+    fast = [replace(part, velocity=10.0 * part.velocity, acceleration=0.0 * part.acceleration) for part in fast]
+    joined = Samples.joined(fast)
+    found = diagnose(body, joined, only=['viscous_drag'])
+    factor, judged = found.inputs.factor, found.judged
+    assert len(found.recorded.samples) < len(joined)
+    told = np.concatenate([np.arange(*part) for part in found.as_dict()['held_out']['ranges']])
+    assert np.array_equal(joined.stamps[told], found.recorded.samples.stamps[np.repeat(judged, factor)])
+    assert told.max() > 497
+
+
 def test_the_page_of_several_recordings_holds_their_offsets_for_no_effects():
     """It said that they had been declared, and marked the beginning of each recording as theirs."""
     body, samples = recorded('wrench')
