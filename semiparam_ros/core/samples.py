@@ -121,6 +121,16 @@ class Samples:
         edges = [0, *np.searchsorted(self.stamps, self.breaks).tolist(), len(self)]
         return [slice(start, end) for start, end in pairwise(edges)]
 
+    @property
+    def longest_recording(self) -> slice:
+        """That of most samples."""
+        return max(self.recordings, key=lambda part: part.stop - part.start)
+
+    @property
+    def recorded_s(self) -> float:
+        """[s] in which something was recorded: without the pauses between recordings."""
+        return float(sum(np.ptp(self.time[part]) for part in self.recordings if part.start < part.stop))
+
     @classmethod
     def from_list(cls, samples: Iterable[Sample]) -> Samples:
         """Stack single samples; the first stamp becomes the origin. An empty list raises SemiparamError."""

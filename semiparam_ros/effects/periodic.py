@@ -50,12 +50,12 @@ class PeriodicDisturbance(Effect):
     @classmethod
     def searches(cls, body: RigidBody, samples: Samples, where: str | None, residual: Array) -> Sequence[Values]:
         turning = (0.0,) if where in _own_axes(body) else (0.0, 1.0)
-        found: list[Values] = []
+        found, part = list[Values](), samples.longest_recording  # no spectrum knows of pauses between recordings
         for along in turning:
             directions = cls._directions(body, samples, where, along)
             signal = np.einsum('tni,tn->ti', directions, residual)
             found += [{'frequency_hz': frequency, 'link_axes': along}
-                      for frequency in spectral_peaks(samples.time, signal)]
+                      for frequency in spectral_peaks(samples.time[part], signal[part])]
         return found
 
     @classmethod
@@ -64,7 +64,7 @@ class PeriodicDisturbance(Effect):
         return max(len(samples) // 2, 1)
 
     def bounds(self, name: str, body: RigidBody, samples: Samples, residual: Array) -> tuple[float, float]:
-        width = 0.5 / float(samples.time[-1] - samples.time[0])  # half the resolution of the spectrum
+        width = 0.5 / float(np.ptp(samples.time[samples.longest_recording]))  # half the resolution of the spectrum
         return self.value(name) - width, self.value(name) + width
 
     def coefficients(self, body: RigidBody) -> tuple[Coefficient, ...]:

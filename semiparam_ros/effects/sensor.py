@@ -90,8 +90,8 @@ class ThermalDrift(ChannelEffect):
     @classmethod
     def searches(cls, body: RigidBody, samples: Samples, where: str | None,
                  residual: Array) -> Sequence[Values]:
-        span = float(samples.time[-1] - samples.time[0])
-        return [{'time_constant_s': span * share} for share in (0.02, 0.04, 0.07, 0.12, 0.2, 0.35, 0.6, 1.0)]
+        shares = (0.02, 0.04, 0.07, 0.12, 0.2, 0.35, 0.6, 1.0)
+        return [{'time_constant_s': samples.recorded_s * share} for share in shares]
 
     def profile(self, time: Array) -> Array:
         return -np.expm1(-time / self.value('time_constant_s', 60.0))

@@ -363,7 +363,7 @@ def against_unexplained(fit: Fit, structure: Structure) -> tuple[Figure, str]:
     """
     channel = int(np.argmax(structure.channel_shares))
     use = fit.in_use[channel]
-    residual, time = fit.residual[use, channel], fit.samples.time[use]
+    residual, time = fit.residual[use, channel], without_pauses(fit.samples)[use]
     names = [each.name for each in structure.variables]
     chosen = sorted(names, key=lambda name: name == 'time')[:MOST_VARIABLES] or ['time']
     with page_style():

@@ -22,6 +22,9 @@ from semiparam_ros.diagnosis.data.recordings import (
 from semiparam_ros.diagnosis.diagnose import diagnose
 from semiparam_ros.diagnosis.preparation import of_one_rate
 from semiparam_ros.diagnosis.residual.contacts import Contact
+from semiparam_ros.diagnosis.residual.flexible import StandardisedInputs
+from semiparam_ros.diagnosis.search.spans import around
+from semiparam_ros.diagnosis.search.stepwise import starting_fit
 from semiparam_ros.diagnosis.setup.identifiability import unidentifiable
 from semiparam_ros.diagnosis.text_report import _contacts, text_report, when
 from semiparam_ros.effects import effect_from_text, effect_to_text, kinds
@@ -80,6 +83,27 @@ def test_the_samples_that_judged_are_numbered_as_they_came():
     told = np.concatenate([np.arange(*part) for part in found.as_dict()['held_out']['ranges']])
     assert np.array_equal(joined.stamps[told], found.recorded.samples.stamps[np.repeat(judged, factor)])
     assert told.max() > 497
+
+
+def test_a_pause_between_recordings_of_hours_hides_nothing_that_depends_on_time():
+    """Frequencies, time constants, what changes slowly and the neighbourhood of a time were searched as if the pause
+    were recorded: a spectrum of steps of a second and a half, time constants from minutes on."""
+    body, (first, second, _) = recorded('wrench')
+    shaken = [replace(part, outputs=part.outputs + 20.0 * np.sin(2.0 * np.pi * 2.3 * part.time)[:, None])
+              for part in (first, second)]
+    told = []
+    for pause_s in (10, 7200):
+        moved = shaken[1].stamps - shaken[1].stamps[0] + shaken[0].stamps[-1] + pause_s * 10**9
+        joined = Samples.joined([shaken[0], replace(shaken[1], stamps=moved)])
+        fit = starting_fit(body, joined, [], np.ones(len(joined), dtype=bool))
+        frequencies = [values['frequency_hz'] for values in kinds()['periodic_disturbance'].searches(
+            body, joined, None, fit.residual)]
+        assert min(np.abs(np.array(frequencies) - 2.3)) < 0.02
+        drift = kinds()['thermal_drift'].searches(body, joined, None, fit.residual)
+        assert min(values['time_constant_s'] for values in drift) < 2.0
+        times = StandardisedInputs(body.joints, joined).values[:, -1]
+        told.append([*np.subtract(around(fit, 5.0), 5.0), *times])
+    assert told[0] == pytest.approx(told[1])
 
 
 def test_the_page_of_several_recordings_holds_their_offsets_for_no_effects():

@@ -67,7 +67,7 @@ def own_time(samples: Samples, names: Sequence[str], time_s: float) -> tuple[flo
 def without_pauses(samples: Samples) -> Array:
     """(N,) [s] times as if each recording began a second after the one before it."""
     steps = np.diff(samples.time, prepend=samples.time[0])
-    steps[[part.start for part in samples.recordings[1:]]] = 1.0
+    steps[[part.start for part in samples.recordings[1:] if part.start < part.stop]] = 1.0
     return np.asarray(samples.time[0] + np.cumsum(steps)) if samples.breaks else samples.time
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array, Mask, Stamps
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
+from semiparam_ros.diagnosis.data.recordings import without_pauses
 
 Family = tuple[str, Callable[[], Array]]
 
@@ -25,7 +26,7 @@ class StandardisedInputs:
         self.config = config
         self.names = (*(f'{role}_{joint}' for role in ('q', 'dq', 'ddq') for joint in joints), 'time')
         self.n_joints = len(joints)
-        time = samples.time
+        time = without_pauses(samples)
         span = max(float(time[-1] - time[0]), 1e-9)
         inputs = samples.inputs
         spread = inputs.std(axis=0)

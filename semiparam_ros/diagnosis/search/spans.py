@@ -14,7 +14,7 @@ import numpy as np
 from scipy.linalg import cho_solve
 
 from semiparam_ros.core.types import Array, Indices
-from semiparam_ros.diagnosis.data.recordings import breaks_s
+from semiparam_ros.diagnosis.data.recordings import breaks_s, without_pauses
 from semiparam_ros.diagnosis.data.splits import correlation_times
 from semiparam_ros.diagnosis.regression import ROUNDED, Fit
 from semiparam_ros.diagnosis.search.candidates import added_columns
@@ -117,8 +117,8 @@ def with_best_edge(fit: Fit, effect: Effect, name: str, within_s: tuple[float, f
 
 
 def around(fit: Fit, time_s: float) -> tuple[float, float]:
-    """[s] from one block before a time to one after it."""
-    times = fit.samples.time[fit.train_mask]
+    """[s] from one block before a time to one after it; pauses between recordings are in no block."""
+    times = without_pauses(fit.samples)[fit.train_mask]
     reach = float(times[-1] - times[0]) / fit.config.split_blocks
     return time_s - reach, time_s + reach
 
