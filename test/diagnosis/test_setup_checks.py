@@ -182,6 +182,18 @@ def test_axes_are_named_the_way_back(axes):
     np.testing.assert_array_equal(turned(turned(samples, *axes), *back).outputs, samples.outputs)
 
 
+@pytest.mark.parametrize(('factors', 'said'), [
+    ((1.0, DEGREES, DEGREES, DEGREES), ['of the joints that turn are in degrees: publish them in rad and rad/s.']),
+    ((1e3, 1.0, 1.0, 1.0), ['of the joints that slide are in millimetres: publish them in m and m/s.'])])
+def test_no_joint_slides_in_degrees(factors, said):
+    """Sliding joints in millimetres were told to be in degrees, twice, and rad to be right for them."""
+    body = RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, 'effort')
+    motion = smooth_motion(4, 250)
+    samples = scaled(replace(motion, outputs=body.outputs_of(motion, body.base_parameters)), np.array(factors), *ROLES)
+    assert [problem.sentence for problem in layout_problems(body, samples, DEFAULTS)] == [
+        f'Positions and velocities {each}' for each in said]
+
+
 def test_a_base_on_its_head_or_on_a_wall_is_no_wrong_sign():
     body, samples = simulated()
     assert whats(body.with_gravity(np.array([0.0, 0.0, 9.81])), samples) == ['base_mounting']

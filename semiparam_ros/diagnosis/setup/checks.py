@@ -395,7 +395,7 @@ def layout_problems(body: RigidBody, samples: Samples, config: DiagnosisConfig) 
     found, samples = unit_problems(body, samples, config)
     for _ in range(config.most_relabellings):
         best = _best_alternative(body, samples, config)
-        if best is None:
+        if best is None or best.problem in found:
             break
         found.append(best.problem)
         body, samples = best.body or body, best.samples
@@ -454,22 +454,20 @@ def _alternatives(body: RigidBody, samples: Samples, config: DiagnosisConfig) ->
     yield from _other_directions(body, samples)
     yield from _other_orders(body, samples)
     yield from _exchanged_outputs(body, samples)
-    yield from _other_motion_units(body, samples)
+    yield from _other_units(body, samples)
 
 
-def _other_motion_units(body: RigidBody, samples: Samples) -> Iterator[Alternative]:
-    """Joints that turn in degrees, and those that slide in millimetres."""
+def _other_units(body: RigidBody, samples: Samples) -> Iterator[Alternative]:
+    """The joints that turn in degrees, and those that slide in millimetres: none slides in degrees."""
     slides = np.array([name in body.prismatic for name in body.joints])
-    said = 'Positions and velocities are in degrees: publish them in rad and rad/s (for a text table: semiparam ' \
-        'convert --degrees).' if not slides.any() else \
-        'Positions and velocities of the joints that turn are in degrees: publish them in rad and rad/s.'
-    if not slides.all():
-        yield Alternative(relabelled(samples, MOTION, factors=np.where(slides, 1.0, DEGREE)),
-                          SetupProblem('position_units', None, said))
-    if slides.any():
-        yield Alternative(relabelled(samples, MOTION, factors=np.where(slides, 1e-3, 1.0)), SetupProblem(
-            'position_units', None, 'Positions and velocities of the joints that slide are in millimetres: publish '
-            'them in m and m/s.'))
+    both = slides.any() and not slides.all()
+    remedy = '' if slides.any() else ' (for a text table: semiparam convert --degrees)'  # it converts all columns
+    for chosen, factor, unit, right, move in ((~slides, DEGREE, 'degrees', f'rad and rad/s{remedy}', 'turn'),
+                                              (slides, 1e-3, 'millimetres', 'm and m/s', 'slide')):
+        if chosen.any():
+            whose = f' of the joints that {move}' if both else ''
+            yield Alternative(relabelled(samples, MOTION, factors=np.where(chosen, factor, 1.0)), SetupProblem(
+                'position_units', None, f'Positions and velocities{whose} are in {unit}: publish them in {right}.'))
 
 
 def _other_signs(body: RigidBody, samples: Samples) -> Iterator[Alternative]:
@@ -535,8 +533,9 @@ def _other_directions(body: RigidBody, samples: Samples) -> Iterator[Alternative
         if name in body.output_names:
             mirrored = relabelled(mirrored, ('outputs',), factors=_factors(
                 body.n_outputs, body.output_names.index(name)))
+        moves = 'slides' if name in body.prismatic else 'turns'
         yield Alternative(mirrored, SetupProblem('joint_direction', name, (
-            f"The recording fits the robot description far better when '{name}' turns the other way: negate its "
+            f"The recording fits the robot description far better when '{name}' {moves} the other way: negate its "
             'position, velocity (and effort) in the driver, or its axis in the robot description.')))
 
 
