@@ -197,7 +197,7 @@ def follow(scenario: ComparisonScenario, model: TrainedModel, subset: int) -> Su
     for learning in (True, False):
         estimator = build_estimator(model.settings, scenario.robot_description, samples.origin)
         estimator.restore(model.state)
-        estimator.begin_recording(samples.origin)
+        estimator.begin_recording(samples.origin, int(samples.stamps[0]))  # which may be hours later
         traces.append(run_through(estimator, samples, learning))
     return SubsetRun(model.variant, model.seed, subset, *traces)
 
