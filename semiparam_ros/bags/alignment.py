@@ -238,12 +238,7 @@ class SampleStream:
         if 'velocity' in columns:
             self.velocities_measured, self._without, self._measured = True, 0, (stamp, row)
         else:
-            assert self._velocity_filter is not None
-            if self._measured is not None:
-                before, known = self._measured
-                self._velocity_filter.begin(before, known[:n], known[n:2 * n])
-            self.velocities_measured, self._measured = False, None
-            row = np.concatenate((row[:n], self._velocity_filter.update(stamp, row[:n]), row[n:]))
+            row = self._with_velocities(stamp, row, n)
         state = row[:2 * n]
         if self._differentiator is not None:
             state = np.concatenate((state, self._differentiator.update(stamp, row[n:2 * n])))
@@ -251,6 +246,20 @@ class SampleStream:
             return self._await(stamp, row[2 * n:], state)
         self._append(self._states, stamp, state, 'joint states')
         return self._completed()
+
+    def _with_velocities(self, stamp: int, row: Array, n: int) -> Array:
+        """The row of a joint state without velocities, with those of its n joints estimated from the positions."""
+        rates = self._velocity_filter
+        assert rates is not None
+        if self._measured is not None:
+            before, known = self._measured
+            rates.begin(before, known[:n], known[n:2 * n])
+        self.velocities_measured, self._measured = False, None
+        knew = rates.knows_rates
+        row = np.concatenate((row[:n], rates.update(stamp, row[:n]), row[n:]))
+        if self._differentiator is not None and not (knew and rates.knows_rates):
+            self._differentiator.reset()  # zeros that stand for velocities are none to go on from
+        return row
 
     def _is_elsewhere(self, stamp: int, position: Sequence[float]) -> bool:
         """Refuse positions that the joints cannot have reached since the last joint state; a whole turn is no way."""

@@ -122,6 +122,15 @@ def test_velocities_that_a_message_leaves_empty_come_from_the_positions(outputs)
     assert outputs == 'wrench' or done[-1].outputs.tolist() == [1.0, 2.0]
 
 
+def test_a_motion_that_begins_without_velocities_has_no_acceleration_from_standstill():
+    """The first velocity after a start or a gap, which nobody knows, was zero: 1 rad/s at 1 kHz became 1000 rad/s^2."""
+    samples, done = stream(outputs='effort', velocity_filter=CausalDifferentiator(2, 5.0)), []
+    for step in [*range(100), *range(600, 700)]:
+        done += feed(samples, moving(step * MS, 'effort', velocity=False))
+    errors = [sample.acceleration - [-np.sin(sample.stamp * 1e-9), 0.0] for sample in done]
+    assert len(done) == 200 and np.abs(errors).max() < 1.0
+
+
 def test_a_refused_message_leaves_the_velocity_filter_as_it_was():
     bad = ('joint_state', 20 * MS, JOINTS, (math.nan, 1.0), (), ())
     samples, spared = (stream(velocity_filter=CausalDifferentiator(2, 5.0)) for _ in range(2))

@@ -48,6 +48,11 @@ class CausalDifferentiator:
         self.reset()
         self._fit[0], self._fit[1], self._stamp, self._age = values, rates, stamp, 2
 
+    @property
+    def knows_rates(self) -> bool:
+        """Tell whether the last :meth:`update` gave rates; zeros stand for those of the first value after a start."""
+        return self._age > 0
+
     def update(self, stamp: int, values: Array) -> Array:
         """(n_joints,) rates [1/s] of the values at ``stamp`` [ns], from these and earlier values.
 
