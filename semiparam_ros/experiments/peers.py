@@ -220,7 +220,8 @@ class Refitted(Peer):
         rows = np.concatenate([rows for rows, _ in self._latest])
         outputs = np.array([outputs for _, outputs in self._latest])
         self._model: Any = self._make()
-        self._model.fit(rows, outputs if len(rows) == len(outputs) else outputs.ravel())
+        several = self.n_outputs > 1 and len(rows) == len(outputs)
+        self._model.fit(rows, outputs if several else outputs.ravel())
         self._since = 0
 
 
@@ -230,7 +231,7 @@ class RefittedRidge(Refitted):
     name = 'sklearn BayesianRidge, batch'
 
     def __init__(self, view: View, n_outputs: int) -> None:
-        super().__init__(view, n_outputs, BayesianRidge if isinstance(view, RigidBodyView)
+        super().__init__(view, n_outputs, BayesianRidge if n_outputs == 1 or isinstance(view, RigidBodyView)
                          else lambda: MultiOutputRegressor(BayesianRidge()))
 
 

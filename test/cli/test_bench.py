@@ -112,6 +112,19 @@ def test_a_peer_learns_what_it_sees(kind, seen):
     assert seen == 'rigid body' or late < early
 
 
+@pytest.mark.parametrize('seen', ['RigidBodyView', 'InputView'])
+@pytest.mark.filterwarnings('error')
+def test_a_peer_of_one_output_is_fitted_without_a_warning(seen):
+    """scikit-learn warned at each fit."""
+    peers = pytest.importorskip('semiparam_ros.experiments.peers')
+    rng = np.random.default_rng(1)
+    inputs, columns = rng.normal(size=(60, 6)), rng.normal(size=(60, 1, 3))
+    outputs = columns @ [1.0, -2.0, 0.5] if seen == 'RigidBodyView' else inputs[:, :1]
+    peer = peers.RefittedRidge(getattr(peers, seen)(), 1)
+    peer.begin(peers.PeerWindow(inputs[:50], columns[:50], outputs[:50]))
+    assert [peer.predict(inputs[50], columns[50]).item()] == pytest.approx(outputs[50], abs=0.01)
+
+
 @pytest.mark.parametrize(('arguments', 'sentence'), [
     (['--features', '20', '40'], '--features holds 2 numbers; expected one with --peers'),
     (['--variant', 'X'], "variant 'X' is unknown")])
