@@ -27,6 +27,7 @@ CAPACITY = 20_000
 LARGEST = 1e9
 """Largest angle [rad], speed, acceleration, force [N] or torque [N m] believed: memory that was
 never written holds more, and one such value would leave nothing of a model."""
+TURN = 2.0 * np.pi
 FASTEST = 30.0
 """[rad/s, m/s] No joint goes to and fro so fast: of several publishers, who says so tells of another robot."""
 END_OF_TIME_NS = 2**31 * NANOSECONDS
@@ -45,9 +46,10 @@ class Track:
     Rows are read at strictly increasing stamps too, so that those behind the last reading can be forgotten.
     """
 
-    def __init__(self, longest_gap_ns: int) -> None:
-        """Make an empty track that interpolates over gaps of at most ``longest_gap_ns``."""
-        self._longest_gap = longest_gap_ns
+    def __init__(self, longest_gap_ns: int, angles: int = 0) -> None:
+        """Make an empty track that interpolates over gaps of at most ``longest_gap_ns``; the first ``angles`` values of
+        a row [rad] go on past a whole turn, as those of a joint that turns without end and comes within one turn."""
+        self._longest_gap, self._angles = longest_gap_ns, angles
         self._stamps: deque[int] = deque()
         self._rows: deque[Array] = deque()
 
@@ -87,7 +89,10 @@ class Track:
         if second - first > self._longest_gap:
             return None
         row = self._rows[0]
-        return row + (stamp - first) / (second - first) * (self._rows[1] - row)
+        way = self._rows[1] - row
+        turns = TURN * np.round(way[:self._angles] / TURN)
+        way[:self._angles] -= turns * (np.abs(way[:self._angles] - turns) < FASTEST * 1e-9 * (second - first))
+        return row + (stamp - first) / (second - first) * way
 
 
 class ZeroOrderHold:
@@ -174,7 +179,7 @@ class SampleStream:
         self._of_sources = [self._temperatures.get(name, ZeroOrderHold())
                             for name in sources] if temperatures else []
         gap = round(2e9 * tolerance_s)
-        self._states, self._accelerations = Track(gap), Track(gap)
+        self._states, self._accelerations = Track(gap, angles=len(self.joints)), Track(gap)
         self._followers = ([] if self._effort else [(self._states, 'joint state')]) \
             + ([(self._accelerations, 'acceleration')] if measured_accelerations else [])
         # Stamps, output and (for efforts) joint state of the samples that wait for the topics they follow.
@@ -267,7 +272,7 @@ class SampleStream:
             return False
         seconds = (stamp - self._latest[0]) * 1e-9
         away = np.abs(np.array(position) - self._latest[1][:len(position)])
-        far = np.flatnonzero(np.minimum(away, np.abs(away - 2.0 * np.pi)) > FASTEST * seconds)
+        far = np.flatnonzero(np.minimum(away, np.abs(away - TURN)) > FASTEST * seconds)
         if not len(far) or not away.max() < LARGEST:
             return False
         joint = far[0]

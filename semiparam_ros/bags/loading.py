@@ -111,7 +111,8 @@ def measured_accelerations(settings: Table, published: bool) -> bool:
 def sample_stream(settings: Table, joints: tuple[str, ...], measured: bool,
                   capacity: int | None = None) -> SampleStream:
     """The stream that these settings ask for; the node and :func:`load_samples` both get theirs here."""
-    accelerations, velocities = (CausalDifferentiator(len(joints), settings.acceleration_cutoff) for _ in range(2))
+    accelerations, velocities = (CausalDifferentiator(len(joints), settings.acceleration_cutoff, angles=of_positions)
+                                 for of_positions in (False, True))
     return SampleStream(joints, settings.outputs, settings.sensor_frame, settings.alignment_tolerance,
                         None if measured else accelerations, measured, capacity, velocities,
                         output_joints(settings, joints), settings.temperatures)

@@ -131,6 +131,24 @@ def test_a_motion_that_begins_without_velocities_has_no_acceleration_from_stands
     assert len(done) == 200 and np.abs(errors).max() < 1.0
 
 
+@pytest.mark.parametrize('outputs', ['wrench', 'effort'])
+def test_a_joint_that_turns_without_end_may_come_within_one_turn(outputs):
+    """Where positions went from pi to -pi, a velocity was 600 rad/s, and a position between two half a turn off."""
+    found = []
+    for wrapped in (False, True):
+        samples, done = stream(outputs=outputs, velocity_filter=CausalDifferentiator(2, 5.0, angles=True)), []
+        for stamp in range(0, 3000 * MS, 10 * MS):
+            turned = 2.0 + 3e-9 * stamp
+            position = (np.angle(np.exp(1j * turned)) if wrapped else turned, 0.1)
+            done += feed(samples, ('joint_state', stamp, JOINTS, position, (), (1.0, 2.0)[:2 * (outputs == 'effort')]))
+            done += feed(samples, *([wrench(stamp + 5 * MS)] if outputs == 'wrench' else []))
+        found.append(done[20:])
+    for plain, sample in zip(*found, strict=True):
+        assert abs(plain.velocity[0] - 3.0) < 1e-6
+        np.testing.assert_allclose(sample.velocity, plain.velocity, atol=1e-9)
+        np.testing.assert_allclose(np.exp(1j * sample.position), np.exp(1j * plain.position), atol=1e-9)
+
+
 def test_a_refused_message_leaves_the_velocity_filter_as_it_was():
     bad = ('joint_state', 20 * MS, JOINTS, (math.nan, 1.0), (), ())
     samples, spared = (stream(velocity_filter=CausalDifferentiator(2, 5.0)) for _ in range(2))

@@ -28,12 +28,14 @@ class CausalDifferentiator:
     from 20 Hz to 1 kHz (docs/mathematics.md); lower cutoffs lag, higher ones are noisier.
     """
 
-    def __init__(self, n_joints: int, cutoff_hz: float) -> None:
-        """``cutoff_hz``: rate at which the past fades [Hz], positive."""
+    def __init__(self, n_joints: int, cutoff_hz: float, angles: bool = False) -> None:
+        """``cutoff_hz``: rate at which the past fades [Hz], positive; ``angles``: values [rad] that may come within one
+        turn, as of joints that turn without end."""
         if not 0.0 < cutoff_hz < np.inf:
             raise SemiparamError(f'acceleration.cutoff is {cutoff_hz}; expected a positive frequency in Hz.')
         self._n_joints = n_joints
         self._decay = 2.0 * np.pi * cutoff_hz
+        self._turn = 2.0 * np.pi if angles else np.inf
         self.reset()
 
     def reset(self) -> None:
@@ -79,7 +81,7 @@ class CausalDifferentiator:
     def _follow(self, step: float, values: Array) -> None:
         self._age += 1
         g, h, k = self._gains(step)
-        self._fit = follow(self._fit, values, step, g, h / step, k / step**2)
+        self._fit = follow(self._fit, values, step, g, h / step, k / step**2, self._turn)
 
     def _gains(self, step: float) -> tuple[float, float, float]:
         """Gains of the fading fit in the steady state, and at first those of a fit without weights to what there is.
@@ -99,13 +101,15 @@ class CausalDifferentiator:
 
 
 @compiled
-def follow(before: Matrix, values: Vector, step: float, g: float, h: float, k: float) -> Matrix:
-    """The parabolas (3, n) a ``step`` [s] on, corrected by gains times what their values (n,) miss."""
+def follow(before: Matrix, values: Vector, step: float, g: float, h: float, k: float, turn: float) -> Matrix:
+    """The parabolas (3, n) a ``step`` [s] on, corrected by gains times what their values (n,) miss, but for turns."""
     after = np.empty(before.shape)
     for i in range(len(values)):
         value, rate, change = before[0, i], before[1, i], before[2, i]
         rate_now = rate + step * change
         value_now = value + step * rate + 0.5 * step**2 * change
         missed = values[i] - value_now
+        if abs(missed) > 0.5 * turn:
+            missed -= turn * np.round(missed / turn)
         after[0, i], after[1, i], after[2, i] = value_now + g * missed, rate_now + h * missed, change + k * missed
     return after
