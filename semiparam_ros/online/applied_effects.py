@@ -126,6 +126,8 @@ class AppliedEffects:
         self.trials: list[KnownEffect] = []
         self.contributions: list[Contribution] = []
         """All that was taken off, for those who need the samples as measured."""
+        self.turns = 0
+        """How often something else was taken off from then on."""
         self.provisional: Load | None = None
         """A load that was told and has no name yet."""
         self.provisional_added: Array = np.zeros(body.n_outputs)
@@ -473,12 +475,14 @@ class AppliedEffects:
 
     def _begin_contribution(self, effect: Effect, coefficients: Array, now: int,
                             shaping: tuple[Effect, ...]) -> None:
+        self.turns += 1
         self.contributions.append(_begun(effect, coefficients, now, shaping))
         if len(self.contributions) > MOST_CONTRIBUTIONS:  # the first that is over
             ended = [each.effect.ends for each in self.contributions]
             del self.contributions[ended.index(True) if any(ended) else 0]
 
     def _end_contribution(self, effect: Effect, coefficients: Array, now: int) -> None:
+        self.turns += 1
         self.contributions = _ended(self.contributions, effect, coefficients, now)
 
 

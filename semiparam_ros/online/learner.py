@@ -31,7 +31,7 @@ from semiparam_ros.online.change_watch import QUIET, ChangeRecord, ChangeWatch
 from semiparam_ros.online.compensation import Compensation, bodies_and_bias
 from semiparam_ros.online.contact_gate import ContactGate, standardised_innovation
 from semiparam_ros.online.history import History, SampleBatch
-from semiparam_ros.online.learning import APPLY, OFF, Learning, learning_of, observe
+from semiparam_ros.online.learning import APPLY, OFF, Learning, is_change, learning_of, observe
 from semiparam_ros.online.model_switcher import (
     MODEL_PARAMETERS,
     ModelSwitcher,
@@ -110,6 +110,8 @@ class Learner:
     def __init__(self, settings: Settings, body: RigidBody, background: Background, listener: LearnerListener,
                  checkpoint: Callable[[], SavedState | None] = lambda: None) -> None:
         self.settings, self.body = settings, body
+        self._turns = 0
+        """Of what is applied, when the residuals of the tare began."""
         ExternalWrench(body, settings.external_wrench_frame)  # raises for a link that is none
         self.gate = ContactGate.of(body)
         self.tare, self.tools = Tare(body.n_outputs), Tools(body, settings.tools)
@@ -155,6 +157,16 @@ class Learner:
         if not self._renewal.refines:  # a draft's hyperparameters are not those that follow it
             self.switcher.remember(settings, estimator)
         self._follow_settings(retry=True)
+
+    @property
+    def estimator(self) -> Estimator:
+        """The active one; the residuals of another are none to tare by."""
+        return self._estimator
+
+    @estimator.setter
+    def estimator(self, estimator: Estimator) -> None:
+        self._estimator = estimator
+        self.tare.begin_anew()
 
     # Samples
 
@@ -270,6 +282,10 @@ class Learner:
 
     def _observe(self, prediction: Prediction, learning: Learning) -> bool:
         """Tell whether the active model has taken it in; it is broken where it has not."""
+        turns = self.changes.applied.turns
+        if turns != self._turns or is_change(learning):  # residuals from before that are none of what predicts now
+            self._turns = turns
+            self.tare.begin_anew()
         passed_over, since = self.estimator.passed_over, round(self.estimator.as_before_s * NANOSECONDS)
         try:
             errors = observe(self.estimator, prediction, learning, finish=False)

@@ -51,7 +51,7 @@ class Tare:
             self._residuals.popleft()
 
     def begin_anew(self) -> None:
-        """Forget the residuals, as where the outputs are another tool's; the bias stays."""
+        """Forget the residuals, as where a tool, a model or an applied change is another one; the bias stays."""
         self._residuals.clear()
 
     def take(self) -> int:

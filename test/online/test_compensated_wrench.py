@@ -6,7 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from semiparam_ros.core.robot.tools import Tools
+from semiparam_ros.core.robot.tools import Tools, tool_from_text
+from semiparam_ros.effects.loads import Payload
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.experiments.evaluation import OfflineLearner
 from semiparam_ros.online import state_file
@@ -96,6 +97,29 @@ def test_a_tare_after_a_tool_was_declared_takes_none_of_its_weight_for_a_bias():
     stage.offer(carried[100:110])
     assert stage.learner.tare.take() == 10
     assert np.abs(stage.learner.tare.bias).max() < 0.5, 'eight newtons are the tool'
+
+
+@pytest.mark.parametrize('by', ['a model', 'a change'])
+def test_a_tare_after_a_load_is_known_takes_none_of_its_weight_for_a_bias(by):
+    """Most of the last second was predicted without: two newtons of the load were taken off once more."""
+    stage, samples = settled()
+    load = tool_from_text(TOOL).parameters
+    carried = [sample._replace(outputs=sample.outputs + Tools(BODY, [TOOL]).outputs(*sample[1:4]))
+               for sample in samples]
+    stage.offer(carried[:100])
+    if by == 'a model':
+        start = (samples[0].stamp - 1000) * 1e-9
+        effects = (f'payload@ft{{"start_stamp_s": {start!r}}}',)
+        stage.learner.change(replace(stage.learner.settings, learning=True, effects=effects))
+        with pytest.raises(SemiparamError, match='no prediction of the last second'):
+            stage.learner.tare.take()
+    else:
+        applied = stage.learner.changes.applied
+        applied.offer(1, Payload('ft'), load, 0.01 * np.ones(10), samples[99].stamp)
+        applied.switch(applied.trials[0], samples[99].stamp)
+    stage.offer(carried[100:110])
+    assert stage.learner.tare.take() in (9, 10)
+    assert np.abs(stage.learner.tare.bias).max() < 0.8, 'eight newtons are the load'
 
 
 def test_a_state_tells_the_tools_that_were_there(tmp_path):

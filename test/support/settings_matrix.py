@@ -38,6 +38,7 @@ from semiparam_ros.export.live import consistent_parameters
 from semiparam_ros.online import state_file
 from semiparam_ros.online.identified_parameters import carried_load, is_shown
 from semiparam_ros.online.learner import Answer
+from semiparam_ros.online.learning import is_change
 from semiparam_ros.online.tare import Tare
 from semiparam_ros.settings import Settings
 from semiparam_ros.settings.build import build_rigid_body
@@ -394,11 +395,13 @@ def offline(settings: Settings, samples: list[Sample], tares: list[int], takeove
             tare.take()
         if tare.active:
             sample = sample._replace(outputs=sample.outputs - tare.bias)
-        refused = learner.learner.gate.refused
+        refused, turns = learner.learner.gate.refused, learner.learner.changes.applied.turns
         prediction = learner.step(sample, True)
         contact = learner.learner.gate.refused > refused
         tare.add(sample.stamp, prediction.sample.outputs - prediction.model_mean,
                  prediction.ready and not prediction.off)
+        if learner.learner.changes.applied.turns != turns or is_change(learner.answer.learning):
+            tare.begin_anew()
         mean = prediction.mean + tare.bias if tare.active else prediction.mean
         learnt = not contact and prediction.motion.is_news
         record.answers.append((sample.stamp, learnt, contact, prediction.ready, mean.tolist(),
