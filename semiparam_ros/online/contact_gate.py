@@ -342,6 +342,11 @@ class ContactGate:
         if self._turns is not None:
             self._turns.reset()
 
+    def begin_rest(self) -> None:
+        """Begin the slow mean of the innovations at rest anew, as where something else predicts or is taken off them
+        from the next sample on; beside a contact it stays what it was before that."""
+        self._resting = 0
+
     def judge(self, prediction: Prediction, settings: Table, unseen: bool = False) -> bool:
         """True when a predicted sample must not be learnt.
 

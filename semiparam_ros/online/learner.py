@@ -160,13 +160,24 @@ class Learner:
 
     @property
     def estimator(self) -> Estimator:
-        """The active one; the residuals of another are none to tare by."""
+        """The active one."""
         return self._estimator
 
     @estimator.setter
     def estimator(self, estimator: Estimator) -> None:
         self._estimator = estimator
+        self._predicts_otherwise()
+
+    def _predicts_otherwise(self) -> None:
+        """What predicts, or is taken off, is another from here on: residuals of before are none to tare or judge by."""
         self.tare.begin_anew()
+        self.gate.begin_rest()
+
+    def take_tare(self) -> int:
+        """See :meth:`Tare.take`; what it takes off is no contact."""
+        count = self.tare.take()
+        self.gate.begin_rest()
+        return count
 
     # Samples
 
@@ -283,9 +294,9 @@ class Learner:
     def _observe(self, prediction: Prediction, learning: Learning) -> bool:
         """Tell whether the active model has taken it in; it is broken where it has not."""
         turns = self.changes.applied.turns
-        if turns != self._turns or is_change(learning):  # residuals from before that are none of what predicts now
+        if turns != self._turns or is_change(learning):
             self._turns = turns
-            self.tare.begin_anew()
+            self._predicts_otherwise()
         passed_over, since = self.estimator.passed_over, round(self.estimator.as_before_s * NANOSECONDS)
         try:
             errors = observe(self.estimator, prediction, learning, finish=False)
@@ -435,7 +446,7 @@ class Learner:
         before, self.settings = self.settings, settings
         if settings.tools != self.tools.texts:
             self.tools = Tools(self.body, settings.tools)
-            self.tare.begin_anew()
+            self._predicts_otherwise()
         sentence = self._change_model(settings)
         self.switcher.set_shadows(settings, self.history, retry=True)
         return '' if same_model(before, settings) else sentence
@@ -470,6 +481,8 @@ class Learner:
         self.tare, self.tools = Tare(self.body.n_outputs, saved.bias), Tools(self.body, saved.settings.tools)
         self._begin(saved.settings, saved.estimator, saved.batch, saved.renewal)
         self.gate.restore(saved.gate)
+        if saved.tools != self.tools.texts:
+            self.gate.begin_rest()
         self.changes.applied.restore(saved.applied)
         latest = self.history.latest()
         self._newest_of_state = None if latest is None else latest.stamp

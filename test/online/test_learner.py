@@ -485,7 +485,7 @@ def test_a_load_is_told_and_learnt_when_the_gate_gives_way():
     samples, stage = motion(1200), Stage(settings, InlineBackground())
     samples[300:900] = [sample._replace(outputs=sample.outputs + 5.0) for sample in samples[300:900]]
     stage.offer(samples[:700])
-    stage.learner.change(replace(settings, variant='NP-ML'))
+    stage.learner.change(replace(settings, variant='P'))
     stage.learner.change(settings)
     stage.offer(samples[700:])
     contact = np.array([answer.contact for answer in stage.answers])
@@ -537,6 +537,31 @@ def test_tare_takes_off_the_bias_and_leaves_the_weight():
     np.testing.assert_allclose(published + residual, measured, atol=1e-12)
     with pytest.raises(SemiparamError, match='no prediction of the last second'):
         Stage().learner.tare.take()
+
+
+@pytest.mark.parametrize('by', ['a tare', 'a tool', 'a model'])
+def test_what_is_taken_off_or_predicted_otherwise_at_rest_is_no_contact(by):
+    """The gate was closed for five seconds, then told a change of the robot, which the model was to follow."""
+    stage, samples = Stage(replace(SETTINGS, variant='P'), InlineBackground()), motion(200)
+    stage.offer(samples)
+    stage.learner.change(replace(stage.learner.settings, gate_enabled=True))
+    held = samples[-1]._replace(velocity=np.zeros(2), acceleration=np.zeros(2))
+    outputs = BODY.regressor(*held[1:4]) @ (1.2 * BODY.base_parameters) + 3.0
+    noise = 0.01 * np.random.default_rng(0).standard_normal((400, 6))
+    rest = [held._replace(stamp=held.stamp + (number + 1) * PERIOD_NS, outputs=outputs + each)
+            for number, each in enumerate(noise)]
+    stage.offer(rest[:380])
+    settings = stage.learner.settings
+    if by == 'a tare':
+        assert stage.learner.take_tare() == 51 and stage.learner.tare.bias.min() > 2.0
+    else:
+        tool = 'ft {"mass": 0.5}'
+        stage.learner.change(replace(settings, tools=(tool,)) if by == 'a tool' else replace(settings, variant='NP-ML'))
+    stage.offer(rest[380:])
+    gate = stage.learner.gate
+    assert gate.contacts == 0, (gate.level, stage.news)
+    stage.offer([rest[-1]._replace(stamp=rest[-1].stamp + PERIOD_NS, outputs=rest[-1].outputs + 20.0)])
+    assert gate.contacts == 1, 'a push still is one'
 
 
 def test_a_bias_that_no_sensor_has_is_not_taken():

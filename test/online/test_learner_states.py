@@ -258,7 +258,7 @@ class Lives(RuleBasedStateMachine):
     @rule()
     def tares(self):
         try:
-            self.learner.tare.take()
+            self.learner.take_tare()
         except SemiparamError as error:
             absurd = 'predicts nothing like' in str(error)  # a model of the paper's priors from so few samples
             assert absurd or 'no prediction of the last second' in str(error)

@@ -393,6 +393,7 @@ def offline(settings: Settings, samples: list[Sample], tares: list[int], takeove
     for index, sample in enumerate(samples):
         if index in tares:
             tare.take()
+            learner.learner.gate.begin_rest()
         if tare.active:
             sample = sample._replace(outputs=sample.outputs - tare.bias)
         refused, turns = learner.learner.gate.refused, learner.learner.changes.applied.turns
@@ -435,7 +436,7 @@ def _offer_with_tares(stage: Live, samples: list[Sample], tares: list[int]) -> N
     for start, end in itertools.pairwise(edges):
         if start:
             stage.run_background()
-            stage.learner.tare.take()
+            stage.learner.take_tare()
         stage.offer(samples[start:end])
 
 

@@ -166,7 +166,7 @@ class Services:
     def tare(self) -> str:
         """Take the present bias off the measured outputs."""
         learner = self._learner()
-        count = learner.tare.take()
+        count = learner.take_tare()
         values = np.array2string(learner.tare.bias, precision=4, separator=', ', max_line_width=10_000)
         told = f'the bias is now {values} ({", ".join(learner.body.output_units)}), from {count} samples.'
         return f'{told} {DISTURBED}' if learner.disturbed else told
