@@ -208,6 +208,10 @@ class Ensemble:
             weights = 0.5 * (self.weights + self._weights_elsewhere())
             self._log_weights = np.maximum(np.log(weights / weights.max(axis=0)), LEAST_LOG_WEIGHT)
             self.weights = shares(self._log_weights)
+        self.forget_offsets()
+
+    def forget_offsets(self) -> None:
+        """Let the wandering offsets begin anew."""
         for each in self.models:
             if each.wandering is not None:
                 each.wandering.forget()

@@ -336,6 +336,10 @@ class Estimator:
         self.motion = self.motion.interrupted() if self.motion else None
         self.model.recursion.revise()
 
+    def forget_offset(self) -> None:
+        """Something else is taken off the outputs from here on: the wandering offset is one of those before."""
+        self.ensemble.forget_offsets()
+
     def clear_horizons(self) -> None:
         """Forget half-finished horizons alone."""
         self.ensemble.clear_horizons()

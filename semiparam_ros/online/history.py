@@ -17,7 +17,7 @@ from semiparam_ros.core.initial_window import beginning_steps, begins_step
 from semiparam_ros.core.samples import Sample, Samples
 from semiparam_ros.core.stamps import LONGEST_PAUSE_NS, LONGEST_STEP_S
 from semiparam_ros.core.types import Array, Codes, Mask, Stamps
-from semiparam_ros.online.learning import Learning
+from semiparam_ros.online.learning import Learning, begins_anew
 
 KEPT_OF_REST = 20
 """Samples of rest that are kept, the last before each motion."""
@@ -326,6 +326,8 @@ def arrays_of(batch: SampleBatch) -> dict[str, Array | Stamps | Codes]:
 def batch_from(arrays: Mapping[str, Array], n_joints: int, n_outputs: int) -> SampleBatch:
     """The batch of :func:`arrays_of`. Raises KeyError and ValueError where these are not its arrays."""
     learnt = arrays['learnt'].astype(np.int8)
+    if not np.isin(learnt, [*Learning, *map(begins_anew, Learning)]).all():
+        raise ValueError("'learnt' holds what is no fate of a sample")
     if not len(learnt):
         return SampleBatch([], n_joints, None)
     stamps = arrays['stamps'].astype(np.int64)

@@ -31,7 +31,7 @@ from semiparam_ros.online.change_watch import QUIET, ChangeRecord, ChangeWatch
 from semiparam_ros.online.compensation import Compensation, bodies_and_bias
 from semiparam_ros.online.contact_gate import ContactGate, standardised_innovation
 from semiparam_ros.online.history import History, SampleBatch
-from semiparam_ros.online.learning import APPLY, OFF, Learning, is_change, learning_of, observe
+from semiparam_ros.online.learning import APPLY, OFF, Learning, begins_anew, learning_of, observe
 from semiparam_ros.online.model_switcher import (
     MODEL_PARAMETERS,
     ModelSwitcher,
@@ -57,7 +57,8 @@ class Answer(NamedTuple):
     prediction: Prediction
     residual: Array  # (n,) outputs minus prediction, in N and N m
     innovation: float  # root mean square of the residual in predictive standard deviations
-    learning: Learning
+    learning: int
+    """See :class:`Learning`, marked by :func:`begins_anew`."""
     contact: bool
     contact_level: Array  # (n,) residual over the gate's threshold; 0 where it does not judge
     places: Array  # (n_links,) how likely the contact is at each link of the gate's places
@@ -112,6 +113,8 @@ class Learner:
         self.settings, self.body = settings, body
         self._turns = 0
         """Of what is applied, when the residuals of the tare began."""
+        self._anew = False
+        """Whether something else is taken off the outputs since the last sample that was news."""
         ExternalWrench(body, settings.external_wrench_frame)  # raises for a link that is none
         self.gate = ContactGate.of(body)
         self.tare, self.tools = Tare(body.n_outputs), Tools(body, settings.tools)
@@ -138,6 +141,7 @@ class Learner:
             self.switcher.renewed = self._renewal.done
         self.gate.forget()
         self.changes.begin()
+        self._anew = False
         self.estimator, self.built = estimator, settings
         self.changes.applied.shaped_by(estimator.columns.effects)
         self.history = History(settings.initial_samples, settings.retained_samples, self.body.n_joints,
@@ -166,6 +170,8 @@ class Learner:
     @estimator.setter
     def estimator(self, estimator: Estimator) -> None:
         self._estimator = estimator
+        if self._anew:
+            estimator.forget_offset()
         self._predicts_otherwise()
 
     def _predicts_otherwise(self) -> None:
@@ -173,10 +179,16 @@ class Learner:
         self.tare.begin_anew()
         self.gate.begin_rest()
 
+    def takes_off_otherwise(self) -> None:
+        """The outputs are others from here on: as above, and the wandering offset holds nothing of them."""
+        self._anew = True
+        self._estimator.forget_offset()
+        self._predicts_otherwise()
+
     def take_tare(self) -> int:
-        """See :meth:`Tare.take`; what it takes off is no contact."""
+        """See :meth:`Tare.take`; what it takes off is no contact, and in no offset any more."""
         count = self.tare.take()
-        self.gate.begin_rest()
+        self.takes_off_otherwise()
         return count
 
     # Samples
@@ -198,7 +210,6 @@ class Learner:
         sample, of_changes = self.changes.applied.taken_off(sample)
         prediction = self._predict(sample, measured)
         if prediction is None:
-            self.lost += 1
             return
         changes, ahead = self.gate.changes, self.changes.applied.taken_ahead  # a hand may do what is ahead
         as_told = prediction._replace(sample=sample._replace(outputs=sample.outputs + ahead))
@@ -215,18 +226,26 @@ class Learner:
         self.gate.changed &= learning in (Learning.NO_NEWS, Learning.NO)
         self.changes.follows = self.changes.follows if learning in (Learning.NO_NEWS, Learning.NO) else None
         self.changes.begins_to_hold &= learning != Learning.TAKEN_BACK
+        followed = (prediction.mean - prediction.model_mean) * (not self.settings.gate_enabled) + ahead
         answer = Answer(self._as_measured(prediction, of_tools, of_changes), sample.outputs - prediction.mean,
-                        standardised_innovation(prediction), learning, contact, self.gate.level, *self.gate.places(),
-                        (prediction.mean - prediction.model_mean) * (not self.settings.gate_enabled) + ahead)
+                        standardised_innovation(prediction), self._marked(learning), contact, self.gate.level,
+                        *self.gate.places(), followed)
         self._emit(answer)  # before learning, which takes as long as predicting
         self._look_for_changes(prediction)
         if self._observe(prediction, learning):
             renews = answer.learnt and not self.settings.hyperparameters_sigma and self._renews(prediction)
-            self.switcher.offer(sample, learning)
+            self.switcher.offer(sample, answer.learning)
             if self._asked is None and self.estimator.window_full:
                 self._end_window()
             elif renews:
                 self._renew()
+
+    def _marked(self, learning: Learning) -> int:
+        """The fate of a sample as it is kept: the first news since something else is taken off is marked."""
+        if not self._anew or learning == Learning.NO_NEWS:
+            return learning
+        self._anew = False
+        return begins_anew(learning)
 
     def _go_on_from_state(self, stamp: int) -> None:
         """The clock was set back where the first sample is older than the state: as of a simulation that began anew,
@@ -285,6 +304,7 @@ class Learner:
             broken = isinstance(error, FloatingPointError) or self._failures >= FAILURES_AT_MOST
             self._listener.failed('the active model', error)
             if not broken:
+                self.lost += 1
                 return None
             self._fall_back(error)
             return self.estimator.predict(sample, measured)
@@ -294,7 +314,7 @@ class Learner:
     def _observe(self, prediction: Prediction, learning: Learning) -> bool:
         """Tell whether the active model has taken it in; it is broken where it has not."""
         turns = self.changes.applied.turns
-        if turns != self._turns or is_change(learning):
+        if turns != self._turns or learning >= Learning.AFTER_CHANGE or learning == Learning.RETURNED:
             self._turns = turns
             self._predicts_otherwise()
         passed_over, since = self.estimator.passed_over, round(self.estimator.as_before_s * NANOSECONDS)
@@ -446,7 +466,7 @@ class Learner:
         before, self.settings = self.settings, settings
         if settings.tools != self.tools.texts:
             self.tools = Tools(self.body, settings.tools)
-            self._predicts_otherwise()
+            self.takes_off_otherwise()
         sentence = self._change_model(settings)
         self.switcher.set_shadows(settings, self.history, retry=True)
         return '' if same_model(before, settings) else sentence
@@ -481,8 +501,9 @@ class Learner:
         self.tare, self.tools = Tare(self.body.n_outputs, saved.bias), Tools(self.body, saved.settings.tools)
         self._begin(saved.settings, saved.estimator, saved.batch, saved.renewal)
         self.gate.restore(saved.gate)
+        self._anew = saved.anew
         if saved.tools != self.tools.texts:
-            self.gate.begin_rest()
+            self.takes_off_otherwise()
         self.changes.applied.restore(saved.applied)
         latest = self.history.latest()
         self._newest_of_state = None if latest is None else latest.stamp
@@ -490,7 +511,7 @@ class Learner:
     def state(self) -> SavedState:
         """State that :meth:`restore` takes back."""
         return SavedState(self.built, self.estimator, self.history.batch(), self.tare.bias, self.gate.state(),
-                          self._renewal.state(), self.changes.applied.state(), self.tools.texts)
+                          self._renewal.state(), self.changes.applied.state(), self.tools.texts, self._anew)
 
     def _fall_back(self, error: Exception) -> None:
         """The active model is broken: go on with the last checkpoint, else with P and no effects; where hyperparameters

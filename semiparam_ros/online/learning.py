@@ -8,10 +8,13 @@ from __future__ import annotations
 from enum import IntEnum
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from semiparam_ros.core.columns import CoupledColumns
 from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.horizon_error import HorizonErrors
 from semiparam_ros.core.prediction import Prediction
+from semiparam_ros.core.samples import Sample
 from semiparam_ros.core.types import Array, Codes, Mask
 from semiparam_ros.effects.loads import Payload
 from semiparam_ros.online.change_causes import OF_FRICTION, friction_directions, load_directions
@@ -49,6 +52,21 @@ class Learning(IntEnum):
     """The same after friction or an offset became another one."""
 
 
+ANEW = 16
+"""Added to the fate of a sample, away from zero, where something else is taken off the outputs since the one before
+that was news: a tare has moved, or tools are others. The wandering offset begins anew with it."""
+
+
+def begins_anew(learning: int) -> int:
+    """The fate of a sample so marked."""
+    return learning + (ANEW if learning > 0 else -ANEW)
+
+
+def plain(learning: Codes) -> Codes:
+    """(N,) fates without that mark."""
+    return np.asarray(np.where(np.abs(learning) > ANEW // 2, learning - ANEW * np.where(learning > 0, 1, -1), learning))
+
+
 def learning_of(estimator: Estimator, prediction: Prediction, learn: bool, gate: ContactGate,
                 changes: ChangeWatch) -> Learning:
     """Fate of a sample which the model in force has predicted and the gate has just judged.
@@ -64,6 +82,14 @@ def learning_of(estimator: Estimator, prediction: Prediction, learn: bool, gate:
     if learn and changes.holds:
         return Learning.TAKEN_BACK if changes.begins_to_hold else Learning.OFFSET
     return after if follows and after is not None else Learning(learn)
+
+
+def see_again(estimator: Estimator, sample: Sample, learning: int, finish: bool = True) -> HorizonErrors | None:
+    """Predict a sample and observe it, as another model did before."""
+    fate = int(plain(np.array(learning)))
+    if fate != learning:
+        estimator.forget_offset()
+    return observe(estimator, estimator.predict(sample), fate, finish)
 
 
 def observe(estimator: Estimator, prediction: Prediction, learning: int, finish: bool = True) -> HorizonErrors | None:
@@ -89,7 +115,8 @@ def follow_change(estimator: Estimator, learning: int) -> None:
 
 def is_change(learning: Codes) -> Mask:
     """(N,) which samples came with a change of the robot that was followed, or its end."""
-    return (learning >= Learning.AFTER_CHANGE) | (learning == Learning.RETURNED)
+    fates = plain(learning)
+    return (fates >= Learning.AFTER_CHANGE) | (fates == Learning.RETURNED)
 
 
 def directions_of(learning: int, columns: CoupledColumns) -> Array | None:

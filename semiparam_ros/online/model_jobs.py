@@ -16,7 +16,7 @@ from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.types import Codes, Stamps
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online.history import SampleBatch
-from semiparam_ros.online.learning import OFF, Learning, follow_change, is_change, observe
+from semiparam_ros.online.learning import OFF, Learning, follow_change, is_change, observe, plain, see_again
 from semiparam_ros.online.renewal import MOST_WORSE, Errors, RecentWindow, judged, later_window
 from semiparam_ros.settings.build import declared_effects, hyperparameter_values, model_options
 from semiparam_ros.settings.snapshot import Settings
@@ -67,7 +67,8 @@ def renew(settings: Settings, body: RigidBody, batch: SampleBatch, origin: int |
     it worse than the one that it is to beat.
     """
     later = later or RecentWindow(settings.initial_samples)
-    gathering, learning = new_estimator(settings, body, origin=origin), batch.learning
+    gathering, learning = new_estimator(settings, body, origin=origin), plain(batch.learning)
+    anew = learning != batch.learning
     learnt = (learning > 0) & beginning_steps(batch.stamps)
     window = later_window(learnt, later.samples)
     begin = int(window.argmax())
@@ -92,7 +93,7 @@ def renew(settings: Settings, body: RigidBody, batch: SampleBatch, origin: int |
     each = zip(np.flatnonzero(replayed).tolist(), batch.chosen(replayed).pairs(), learning[replayed].tolist(),
                compared[replayed].tolist(), strict=True)
     for number, (sample, _), learns, chosen in each:
-        follow_change(estimator, fates.get(number, Learning.NO))
+        _follow(estimator, fates.get(number, Learning.NO), anew[number])
         prediction = estimator.predict(sample)
         if chosen:
             errors.add(prediction)
@@ -101,6 +102,13 @@ def renew(settings: Settings, body: RigidBody, batch: SampleBatch, origin: int |
         raise SemiparamError(f'the model that follows has errors of {errors.size:.3g} over that window where the model '
                              f'in force has {later.to_beat:.3g}.')
     return estimator
+
+
+def _follow(estimator: Estimator, fate: int, anew: bool) -> None:
+    """What came with a sample, before it is learnt."""
+    follow_change(estimator, fate)
+    if anew:
+        estimator.forget_offset()
 
 
 def _leave_out_taken_back(learning: Codes, stamps: Stamps) -> None:
@@ -128,9 +136,9 @@ def new_estimator(settings: Settings, body: RigidBody, known: Known | None = Non
 
 def absorb(estimator: Estimator, batch: SampleBatch) -> Estimator:
     """Predict and learn further samples, as the node did when they came."""
-    estimator.marks |= bool((batch.learning == Learning.TAKEN_BACK).any())
+    estimator.marks |= bool((plain(batch.learning) == Learning.TAKEN_BACK).any())
     for sample, learnt in batch.pairs():
-        observe(estimator, estimator.predict(sample), learnt)
+        see_again(estimator, sample, learnt)
     return estimator
 
 

@@ -24,7 +24,7 @@ from semiparam_ros.core.samples import Sample
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online import model_jobs
 from semiparam_ros.online.history import History, SampleLog
-from semiparam_ros.online.learning import observe
+from semiparam_ros.online.learning import see_again
 from semiparam_ros.online.renewal import RecentWindow, has_draft
 from semiparam_ros.online.worker import Background, Job, Urgency
 from semiparam_ros.settings.snapshot import Settings
@@ -172,7 +172,7 @@ class StandbyModel:
                 continue
             sample, learnt = waiting
             try:
-                errors = observe(estimator, estimator.predict(sample), learnt, finish=False)
+                errors = see_again(estimator, sample, learnt, finish=False)
             except Exception as error:  # a model that breaks beside the active one must not keep that from answering
                 self._switcher.on_failed(self, error)
                 return

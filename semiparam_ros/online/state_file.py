@@ -31,7 +31,7 @@ from semiparam_ros.errors import SemiparamError, listed
 from semiparam_ros.online.applied_effects import AppliedEffects
 from semiparam_ros.online.contact_gate import ContactGate
 from semiparam_ros.online.history import SampleBatch, arrays_of, batch_from
-from semiparam_ros.online.learning import Learning, observe
+from semiparam_ros.online.learning import ANEW, Learning, observe
 from semiparam_ros.online.model_jobs import Known, known_of, new_estimator
 from semiparam_ros.online.renewal import Renewal
 from semiparam_ros.settings.build import declared_effects
@@ -63,7 +63,7 @@ MEASURED, MOST_MEASURED = ('bias', 'history', 'motion', 'inputs_learnt', 'kept',
 """What is measured stays within 1e9, its derivatives within that by a nanosecond."""
 STAMPS = ('stamps', 'origins', 'origin')
 RANGES = {'shares': (0.0, 1.0), 'log_weights': (-math.inf, 0.0), 'inflation': (1e-100, math.inf),
-          'learnt': (min(Learning), max(Learning)), **dict.fromkeys(STAMPS, (-2**62, 2**62)),
+          'learnt': (min(Learning) - ANEW, max(Learning) + ANEW), **dict.fromkeys(STAMPS, (-2**62, 2**62)),
           **dict.fromkeys(('waiting', 'filled', 'start', 'back', 'renewed', 'still'), (0.0, math.inf))}
 """Of arrays by the last part of their names, where only some values make sense."""
 
@@ -90,6 +90,8 @@ class SavedState(NamedTuple):
     applied: Memory
     tools: tuple[str, ...] = ()
     """Those that the arm carried then; what it carries now the parameter says."""
+    anew: bool = False
+    """Whether something else is taken off since the last sample that was news."""
 
     @property
     def sentence(self) -> str:
@@ -194,6 +196,8 @@ def snapshot(state: SavedState) -> Snapshot:
             'passed_over': first.passed_over,
             'memory': _as_json(learnt.memory, memory), 'gate': _as_json(state.gate, gate),
             'renewal': _as_json(state.renewal, renewal), 'applied': _as_json(state.applied, applied)}
+    if state.anew:
+        meta['anew'] = True
     if others:
         meta['others'] = [{'hyperparameters': asdict(other.hyperparameters), 'window_left': other.window_left,
                            'passed_over': other.passed_over} for other in others]
@@ -305,7 +309,7 @@ def load(path: Path, settings: Settings, body: RigidBody) -> SavedState:
         applied = AppliedEffects(body)
         applied.restore(_from_json(meta['applied'], _group(arrays, 'applied')))
         saved = SavedState(settings, _estimator(settings, body, arrays, meta), batch, bias, gate.state(),
-                           renewal.state(), applied.state(), tuple(map(str, meta['tools'])))
+                           renewal.state(), applied.state(), tuple(map(str, meta['tools'])), 'anew' in meta)
         _check_nothing_else(arrays, meta, saved)
         _try(saved, gate)
         return saved

@@ -19,14 +19,15 @@ import pytest
 
 from semiparam_ros.bags.readings import Reading
 from semiparam_ros.core.estimator import Estimator
+from semiparam_ros.core.robot.tools import Tools
 from semiparam_ros.diagnosis.setup.identifiability import unidentifiable
 from semiparam_ros.effects import effect_from_text
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.experiments.evaluation import OfflineLearner
 from semiparam_ros.online import diagnosis_jobs, learner, model_jobs, state_file, transport, worker
-from semiparam_ros.online.history import History, batch_of
+from semiparam_ros.online.history import History, arrays_of, batch_from, batch_of
 from semiparam_ros.online.identified_parameters import Excitation, carried_load, conditioning, reported_load
-from semiparam_ros.online.learning import Learning
+from semiparam_ros.online.learning import Learning, begins_anew, see_again
 from semiparam_ros.online.model_jobs import new_estimator
 from semiparam_ros.online.model_switcher import same_model
 from semiparam_ros.online.tare import Tare
@@ -537,6 +538,47 @@ def test_tare_takes_off_the_bias_and_leaves_the_weight():
     np.testing.assert_allclose(published + residual, measured, atol=1e-12)
     with pytest.raises(SemiparamError, match='no prediction of the last second'):
         Stage().learner.tare.take()
+
+
+def test_a_history_of_fates_that_there_are_not_is_refused():
+    arrays = arrays_of(batch_of((sample, Learning.YES) for sample in motion(3)))
+    for fate in (begins_anew(Learning.NO), begins_anew(Learning.TAKEN_BACK)):
+        assert (batch_from({**arrays, 'learnt': np.full(3, fate)}, 2, 6).learning == fate).all()
+    with pytest.raises(ValueError, match='no fate of a sample'):
+        batch_from({**arrays, 'learnt': np.full(3, 7)}, 2, 6)
+
+
+@pytest.mark.parametrize('by', ['a tare', 'a tool'])
+@pytest.mark.parametrize('saved', [False, True])
+def test_what_the_wandering_offset_followed_is_not_taken_off_once_more(by, saved, tmp_path):
+    """The arm stood, where offsets stay: predictions held a bias, or a tool, twice until it moved again."""
+    tool = 'ft {"mass": 0.3}'
+    settings, samples = replace(SETTINGS, variant='P', diagnosis_auto='off'), motion(420)
+    more = [np.full(6, 2.0) if by == 'a tare' else Tools(BODY, [tool]).outputs(*sample[1:4]) for sample in samples]
+    samples = [sample._replace(outputs=sample.outputs + min(max(number / 100 - 2.0, 0.0), 1.0) * each)
+               for number, (sample, each) in enumerate(zip(samples, more, strict=True))]
+    stage, held = Stage(settings, InlineBackground()), samples[379]
+    rest = [held._replace(stamp=held.stamp + (number + 1) * PERIOD_NS, velocity=np.zeros(2), acceleration=np.zeros(2))
+            for number in range(140)]
+    stage.offer([*samples[:380], *rest[:120]])
+    assert np.abs(stage.answers[-1].followed).max() > 0.5
+    if by == 'a tare':
+        stage.learner.take_tare()
+    else:
+        settings = replace(settings, tools=(tool,))
+        stage.learner.change(settings)
+    if saved:
+        state_file.save(tmp_path / 's.npz', stage.learner.state())
+        stage.learner.restore(state_file.load(tmp_path / 's.npz', settings, BODY))
+    stage.offer(rest[120:])
+    assert not stage.answers[-1].followed.any()
+    assert by == 'a tool' or np.abs(stage.answers[-1].residual).max() < 0.3, 'two newtons before'
+    stage.offer(later(samples[380:], 139 * PERIOD_NS * 1e-9))
+    fresh = new_estimator(settings, BODY, None, stage.learner.history.origin)
+    for answer in stage.answers:
+        see_again(fresh, answer.prediction.sample, answer.learning)
+    offset = stage.learner.estimator.ensemble.first.wandering.offset
+    np.testing.assert_allclose(fresh.ensemble.first.wandering.offset, offset, atol=1e-9)
 
 
 @pytest.mark.parametrize('by', ['a tare', 'a tool', 'a model'])

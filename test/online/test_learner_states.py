@@ -32,7 +32,7 @@ from semiparam_ros.online.compensation import Compensation
 from semiparam_ros.online.feedforward import Feedforward
 from semiparam_ros.online.history import KEPT_OF_REST
 from semiparam_ros.online.learner import Learner
-from semiparam_ros.online.learning import Learning, observe
+from semiparam_ros.online.learning import Learning, observe, plain, see_again
 from semiparam_ros.online.model_jobs import known_of, new_estimator
 from semiparam_ros.online.model_switcher import State, same_model
 from semiparam_ros.online.state_file import load, save
@@ -335,7 +335,7 @@ class Lives(RuleBasedStateMachine):
         assert fresh.ready == learner.estimator.ready
         if not fresh.ready or self.kept:
             return  # the provisional model has also learnt from windows that gave no hyperparameters
-        if known and any(learning == Learning.AFTER_CHANGE for _, learning in self.given):
+        if known and any(plain(np.array(learning)) == Learning.AFTER_CHANGE for _, learning in self.given):
             return  # a later window's model learns nothing from before a change
         mine, its = (each.model.hyperparameters for each in (learner.estimator, fresh))
         if max(mine.sigma, its.sigma) < ROUNDED:
@@ -362,7 +362,9 @@ class Lives(RuleBasedStateMachine):
         """A fresh estimator that learns all that was given."""
         fresh = new_estimator(self.learner.built, self.body, known, self.learner.history.origin)
         for sample, learning in self.given:
-            observe(fresh, fresh.predict(sample), learning)
+            see_again(fresh, sample, learning)
+        if self.learner._anew:
+            fresh.forget_offset()
         return fresh
 
     def teardown(self):

@@ -393,7 +393,7 @@ def offline(settings: Settings, samples: list[Sample], tares: list[int], takeove
     for index, sample in enumerate(samples):
         if index in tares:
             tare.take()
-            learner.learner.gate.begin_rest()
+            learner.learner.takes_off_otherwise()
         if tare.active:
             sample = sample._replace(outputs=sample.outputs - tare.bias)
         refused, turns = learner.learner.gate.refused, learner.learner.changes.applied.turns
