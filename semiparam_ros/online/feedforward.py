@@ -57,6 +57,8 @@ class Feedforward:
         for name, holds in (('answered', True), ('described', found.described),
                             ('limited', bool(found.limited.any())), ('doubtful', doubtful)):
             self.counts[name] += holds
+        if found.described:
+            self.last = 'no model yet'
         if doubtful:
             self.last = listed(found.outside) if found.outside else 'the state is unlike those learnt'
         if found.limited.any():
@@ -69,7 +71,7 @@ class Feedforward:
         new = self.counts - before
         parts = [f'{new[name]} {what}' for name, what in MARKS.items() if new[name]]
         return (f'of {new["answered"]} desired states {", ".join(parts)} '
-                f'({self.last or "no model yet"}).' if parts else '')
+                f'({self.last}).' if parts else '')
 
 
 def is_doubtful(found: Desired) -> bool:

@@ -1,5 +1,6 @@
 """Whatever is asked of the feedforward: it is refused in a sentence, or finite, within the limits, and marked."""
 
+from collections import Counter
 from dataclasses import replace
 
 import numpy as np
@@ -20,7 +21,7 @@ from semiparam_ros.online.feedforward import STATUS, Feedforward, status
 from support.arms import icub, smooth_motion
 from support.effect_cases import BODIES, CASES, MOTION, NAMES
 from support.learner_stage import Stage
-from support.node_helpers import BODY, SETTINGS, URDF, motion
+from support.node_helpers import BODY, SETTINGS, URDF, InlineBackground, motion
 
 WILD = st.one_of(st.floats(-1.0, 1.0), st.floats(-1e9, 1e9), st.sampled_from([0.0, 1e9, -1e9, 1e-300, np.pi]))
 NAN_OR_WILD = st.one_of(WILD, st.sampled_from([np.nan, np.inf]))
@@ -196,3 +197,17 @@ def test_torques_from_a_wrench_are_those_of_the_arm_as_the_effects_have_it(effec
     np.testing.assert_allclose(desired(estimator, *row).efforts, expected, atol=1e-9)
     without = pin.rnea(body.arm, body.arm.createData(), *row)
     np.testing.assert_allclose(desired(doubting, *row).efforts, 0.5 * (expected + without), rtol=0.05, atol=0.01)
+
+
+def test_what_the_description_answers_after_a_reset_is_not_marked_as_what_came_before_it():
+    """Nothing was cut of a state at rest, but the log said so."""
+    stage, samples = Stage(replace(SETTINGS, variant='P', feedforward_before_ready='description'),
+                           InlineBackground()), motion(100)
+    stage.offer(samples)
+    feedforward, at_rest = Feedforward(), (samples[0].position, np.zeros(2), np.zeros(2))
+    feedforward.answer(stage.learner, samples[0].position, np.full(2, 99.0), np.zeros(2))
+    assert 'effort of a cut' in feedforward.sentence(Counter())
+    stage.learner.reset()
+    before = feedforward.counts.copy()
+    feedforward.answer(stage.learner, *at_rest)
+    assert feedforward.sentence(before).endswith('by the robot description alone (no model yet).')
