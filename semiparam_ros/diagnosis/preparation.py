@@ -232,7 +232,7 @@ def too_fast(samples: Samples, inputs: Inputs, fit: Fit) -> tuple[list[str], Arr
     rate = inputs.factor * 1e9 / float(np.median(np.diff(raw.stamps)))
     enough = next((times for times, fewer in zip(config.faster, shares, strict=True)
                    if fewer.max() < config.little), None)
-    worst = int((errors / np.maximum(spread, 1e-12)).argmax())
+    worst = int((power[share.argmax()] * errors**2).argmax())  # of a joint at rest errors are all that there is
     remedy = f'record at {rate * enough:.0f} Hz, or measure them' if enough else 'measure them'
     return [f'The motion is too fast for {rate:.0f} Hz: accelerations cannot be had better than to '
             f'{100 * errors[worst] / max(spread[worst], 1e-12):.1f} % ({fit.body.joints[worst]}), and that is most of '

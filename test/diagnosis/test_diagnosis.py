@@ -91,6 +91,16 @@ def test_what_errors_of_fast_motion_leave_is_no_effect_and_the_remedy_is_said(ou
     assert not any('too fast' in note for note in slow.notes)
 
 
+def test_a_motion_that_is_too_fast_is_not_that_of_a_joint_at_rest():
+    """Accelerations could not be had better than to 93 % of a joint that stood still."""
+    motion, moves = smooth_motion(4, 600, speed=5.0), np.arange(4) != 3
+    quick = replace(motion, position=motion.position * moves, velocity=motion.velocity * moves,
+                    acceleration=motion.acceleration * moves)
+    notes = diagnose(icub(), as_recorded(icub(), quick), only=['viscous_drag']).notes
+    assert any('too fast for 20 Hz' in note and '(r_elbow)' not in note for note in notes)
+    assert any('r_elbow stood still' in note for note in notes)
+
+
 @pytest.mark.long
 def test_an_output_of_which_errors_of_the_motion_explain_less_is_looked_at_beside_others():
     """Motion that was too fast for one output silenced what was left of all."""
