@@ -11,6 +11,7 @@ import pinocchio as pin
 
 from semiparam_ros.core.columns import Absent, Memory
 from semiparam_ros.core.robot.rigid_body import GRAVITY, RigidBody
+from semiparam_ros.core.robot.size import reach_of
 from semiparam_ros.core.robot.small_turns import small_turns
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array, Stamps
@@ -123,6 +124,13 @@ class ZeroSlip(_SmallTurn):
 
     def coefficients(self, body: RigidBody) -> tuple[Coefficient, ...]:
         return (Coefficient('offset', body.joint_unit(self.where, 'rad')),)
+
+    def conceivable(self, body: RigidBody, coefficients: Array) -> bool:
+        return float(np.abs(coefficients).max()) < (reach_of(body) if self.where in body.prismatic else MOST_TURN)
+
+    def prior_scale(self, body: RigidBody) -> Array:
+        """Prior (1,) of the calibration of the same cause, of the arm's size where the joint slides."""
+        return JointOffset(self.where).calibration_scale(body)
 
     def basis(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[Array, Memory]:
         joint = joint_index(body, self.where)

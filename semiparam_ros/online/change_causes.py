@@ -20,7 +20,6 @@ from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.robot.size import base_scale
 from semiparam_ros.core.robot.small_turns import TILTS
 from semiparam_ros.core.types import Array, Indices, Mask
-from semiparam_ros.effects.base import CALIBRATED
 from semiparam_ros.effects.geometry import BaseShift, ZeroSlip
 from semiparam_ros.effects.loads import Payload
 
@@ -54,7 +53,8 @@ def causes_of(columns: CoupledColumns) -> tuple[list[Cause], Array]:
     priors; p: columns of the model without those of effects, t: small turns."""
     body, blocks = columns.body, columns.blocks
     turns = slice(columns.n_own, columns.n_own + TILTS + len(body.joints))
-    turn_scale = np.full(turns.stop - turns.start, CALIBRATED['rad'])
+    zeros = [ZeroSlip(joint).prior_scale(body) for joint in body.joints]
+    turn_scale = np.concatenate([BaseShift().prior_scale(body), *zeros])
     own = np.diag(np.append(columns.prior_scale[: columns.n_own], turn_scale))
     causes, parts = list[Cause](), list[Array]()
     rigid, offset, friction = (blocks[name] for name in ('rigid_body', 'offset', 'friction'))

@@ -32,6 +32,7 @@ from semiparam_ros.experiments.scoreboard import body_of, samples_of
 from semiparam_ros.simulation.causes.forces import PAYLOAD_RADIUS_M
 from semiparam_ros.simulation.scenario import EffectRequest, Scenario
 from semiparam_ros.simulation.simulate import simulate
+from support import arms
 from support.arms import ICUB_JOINTS, ICUB_OWN, ICUB_SENSOR, TWO_ARMS, TWO_ARMS_JOINTS, smooth_motion
 from support.effect_cases import BODIES, CASES, MOTION, NAMES
 
@@ -909,3 +910,19 @@ def test_the_gain_that_all_channels_share_is_no_finding():
     cross = kinds()['sensor_crosstalk'](None, {**gains, 'fx_from_fy': 0.22}).without_common_gain()
     assert cross.value('fx_from_fy') == pytest.approx(0.2)
     np.testing.assert_allclose(np.diag(cross.matrix()), 1.0)
+
+
+@pytest.mark.parametrize('size', [0.1, 1.0, 10.0])
+def test_the_slip_of_a_zero_is_of_the_arms_size_where_the_joint_slides(size):
+    """Limits of angles were taken for metres: a slip of 9 m along ten was none, one of 0.3 m of a small arm was."""
+    urdf = '<robot name="crane">' + ''.join([
+        arms.link('base'), arms.link('boom'), arms.link('trolley', com=f'0 0 {0.1 * size}'),
+        arms.joint('turn', 'revolute', 'base', 'boom', '0 0 0', axis='0 1 0'),
+        arms.joint('reach', 'prismatic', 'boom', 'trolley', f'0 0 {size}')]) + '</robot>'
+    body = RigidBody.from_urdf(urdf, ('turn', 'reach'), 'effort')
+    slip, turn, zero = (kinds()[kind](where) for kind, where in (
+        ('zero_slip', 'reach'), ('zero_slip', 'turn'), ('joint_offset', 'reach')))
+    assert slip.prior_scale(body) == pytest.approx(zero.calibration_scale(body))
+    assert [slip.conceivable(body, np.array([share * size])) for share in (0.09, 0.9, 3.0)] == [True, True, False]
+    assert turn.prior_scale(body) == [0.1]
+    assert [turn.conceivable(body, np.array([angle])) for angle in (-0.7, 0.9)] == [True, False]
