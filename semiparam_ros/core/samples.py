@@ -122,11 +122,6 @@ class Samples:
         return [slice(start, end) for start, end in pairwise(edges)]
 
     @property
-    def longest_recording(self) -> slice:
-        """That of most samples."""
-        return max(self.recordings, key=lambda part: part.stop - part.start)
-
-    @property
     def recorded_s(self) -> float:
         """[s] in which something was recorded: without the pauses between recordings."""
         return float(sum(np.ptp(self.time[part]) for part in self.recordings if part.start < part.stop))

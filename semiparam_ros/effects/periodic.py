@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import ClassVar
 
 import numpy as np
@@ -17,6 +18,9 @@ from semiparam_ros.effects.base import CHANNELS, Axis, Coefficient, Effect, Valu
 PEAKS = 4
 EDGE = 0.95
 """Largest frequency over half the sampling rate: above, aliases look like a disturbance."""
+
+PAUSE_STEPS = 5.0
+"""Steps between samples from which on a longer one is a pause."""
 
 
 class PeriodicDisturbance(Effect):
@@ -50,7 +54,7 @@ class PeriodicDisturbance(Effect):
     @classmethod
     def searches(cls, body: RigidBody, samples: Samples, where: str | None, residual: Array) -> Sequence[Values]:
         turning = (0.0,) if where in _own_axes(body) else (0.0, 1.0)
-        found, part = list[Values](), samples.longest_recording  # no spectrum knows of pauses between recordings
+        found, part = list[Values](), _unbroken(samples.time)
         for along in turning:
             directions = cls._directions(body, samples, where, along)
             signal = np.einsum('tni,tn->ti', directions, residual)
@@ -64,7 +68,7 @@ class PeriodicDisturbance(Effect):
         return max(len(samples) // 2, 1)
 
     def bounds(self, name: str, body: RigidBody, samples: Samples, residual: Array) -> tuple[float, float]:
-        width = 0.5 / float(np.ptp(samples.time[samples.longest_recording]))  # half the resolution of the spectrum
+        width = 0.5 / float(np.ptp(samples.time[_unbroken(samples.time)]))  # half the resolution of the spectrum
         return self.value(name) - width, self.value(name) + width
 
     def coefficients(self, body: RigidBody) -> tuple[Coefficient, ...]:
@@ -96,6 +100,17 @@ class PeriodicDisturbance(Effect):
 def _own_axes(body: RigidBody) -> Sequence[str | None]:
     """Places that shake the outputs themselves, not a link: the sensor, or the drives of the joints."""
     return (None,) if body.outputs == 'wrench' else body.output_names
+
+
+def _unbroken(time: Array) -> slice:
+    """The samples whose spectrum tells frequencies: all, or, where most of the time (N,) are pauses between recordings
+    or between stretches of a long one, those of the longest part without."""
+    steps = np.diff(time)
+    pauses = steps > PAUSE_STEPS * np.median(steps)
+    if 2.0 * steps[pauses].sum() < steps.sum():
+        return slice(0, len(time))
+    edges = [0, *(np.flatnonzero(pauses) + 1).tolist(), len(time)]
+    return max((slice(start, end) for start, end in pairwise(edges)), key=lambda part: part.stop - part.start)
 
 
 def spectral_peaks(time: Array, signal: Array) -> list[float]:

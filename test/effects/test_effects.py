@@ -926,3 +926,16 @@ def test_the_slip_of_a_zero_is_of_the_arms_size_where_the_joint_slides(size):
     assert [slip.conceivable(body, np.array([share * size])) for share in (0.09, 0.9, 3.0)] == [True, True, False]
     assert turn.prior_scale(body) == [0.1]
     assert [turn.conceivable(body, np.array([angle])) for angle in (-0.7, 0.9)] == [True, False]
+
+
+def test_a_frequency_is_found_in_stretches_of_a_long_recording():
+    """A spectrum over the pauses between them had steps of a quarter of a second, and saw no shaking above 2 Hz."""
+    body = RigidBody.from_urdf(TWO_ARMS, TWO_ARMS_JOINTS, 'effort')
+    whole = smooth_motion(5, 12000)
+    some = whole[np.concatenate([np.arange(start, start + 200) for start in range(0, 12000, 1000)])]
+    shaking = np.sin(2.0 * np.pi * 5.0 * some.time)[:, None] * np.eye(5)[0]
+    searched = kinds()['periodic_disturbance'].searches(body, some, 'waist', shaking)
+    assert min(abs(values['frequency_hz'] - 5.0) for values in searched) < 0.05
+    low, high = kinds()['periodic_disturbance']('waist', {'frequency_hz': 5.0}).bounds(
+        'frequency_hz', body, some, shaking)
+    assert high - low == pytest.approx(1.0 / 9.95)
