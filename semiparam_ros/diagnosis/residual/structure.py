@@ -30,6 +30,8 @@ class Structure:
     variables: tuple[Dependence, ...] = ()
     formulas: tuple[Formula, ...] = ()
     families: dict[str, float] = field(default_factory=dict)
+    as_slow_noise: bool = False
+    """Whether a function explains much, but no more than of noise that changes as slowly."""
 
     def declarable(self, least_share: float) -> tuple[Terms, ...]:
         """The formulas that explain more than a share of their channel's residual, as effects that can be declared."""
@@ -38,6 +40,9 @@ class Structure:
     @property
     def sentence(self) -> str:
         """What a user reads."""
+        if not self.significant and self.as_slow_noise:
+            return (f'A function of the motion or of time explains {100 * self.share:.0f} % of what is left, at most '
+                    f'{100 * self.channel_shares.max():.0f} % of one output: no more than of noise that is as slow.')
         if not self.significant:
             return 'Nothing is left that depends on the motion or on time.'
         names = ', '.join(f'{each.name} ({100 * each.share:.0f} %)' for each in self.variables) or 'no single variable'
@@ -66,11 +71,11 @@ def remaining_structure(fit: Fit) -> Structure:
     gains, power = np.sum(guarded**2 - (guarded - found) ** 2, axis=0), np.sum(guarded**2, axis=0) + 1e-300
     share, shares = float(gains.sum() / power.sum()), gains / power
     together, affected = share > config.structure_share, shares > config.channel_share
-    if together or affected.any():
+    if much := bool(together or affected.any()):
         beyond, beyond_in = _beyond_chance(motion, guarded, counted)
         together, affected = together and beyond, affected & beyond_in
     if not together and not affected.any():
-        return Structure(share=share, channel_shares=shares, significant=False, families=families)
+        return Structure(share=share, channel_shares=shares, significant=False, families=families, as_slow_noise=much)
     if not affected.any():
         affected = shares >= shares.max()
     return _described(fit, rows, motion, affected,
