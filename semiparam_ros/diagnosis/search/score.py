@@ -30,9 +30,6 @@ from semiparam_ros.diagnosis.regression import Fit
 from semiparam_ros.diagnosis.search.candidates import added_columns, identity
 from semiparam_ros.diagnosis.search.refit import calibrated_values, points_of, shape_columns, told_by_sliding
 
-ROUNDING = 1e-13
-"""Share of its own product that tells nothing of a column: what doubles do not hold of sums where there is no noise."""
-
 
 class ChannelGrams(NamedTuple):
     """Products of one channel, block by block: columns that act there, with one another and with the outputs."""
@@ -106,7 +103,8 @@ class BlockGrams:
 
 def _log_evidence(normal: Array, right: Array) -> Array:
     """log Z without its terms that hold no column, of one or of many."""
-    whole = normal + (1.0 + ROUNDING * normal) * np.eye(normal.shape[-1])
+    # Without noise, sums of squares hold no digits of the prior's: 1e-13 of each is rounding.
+    whole = normal + (1.0 + 1e-13 * normal) * np.eye(normal.shape[-1])
     logarithm = np.log(np.diagonal(np.linalg.cholesky(whole), axis1=-2, axis2=-1)).sum(axis=-1)
     solved = np.linalg.solve(whole, right[..., None])[..., 0]
     return np.asarray(0.5 * (right * solved).sum(axis=-1) - logarithm)
