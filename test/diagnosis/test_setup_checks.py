@@ -194,6 +194,14 @@ def test_no_joint_slides_in_degrees(factors, said):
         f'Positions and velocities {each}' for each in said]
 
 
+def test_a_joint_that_slides_the_wrong_way_does_not_turn():
+    body = RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, 'effort')
+    motion, slides = smooth_motion(4, 250), ODD_JOINTS.index(*body.prismatic)
+    samples = replace(motion, outputs=body.outputs_of(motion, body.base_parameters))
+    (problem,) = layout_problems(body, scaled(samples, -1.0, *ROLES, 'outputs', joint=slides), DEFAULTS)
+    assert f"when '{ODD_JOINTS[slides]}' slides the other way" in problem.sentence
+
+
 def test_a_base_on_its_head_or_on_a_wall_is_no_wrong_sign():
     body, samples = simulated()
     assert whats(body.with_gravity(np.array([0.0, 0.0, 9.81])), samples) == ['base_mounting']
