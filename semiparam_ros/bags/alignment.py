@@ -91,7 +91,8 @@ class Track:
         row = self._rows[0]
         way = self._rows[1] - row
         turns = TURN * np.round(way[:self._angles] / TURN)
-        way[:self._angles] -= turns * (np.abs(way[:self._angles] - turns) < FASTEST * 1e-9 * (second - first))
+        if turns.any():
+            way[:self._angles] -= turns * (np.abs(way[:self._angles] - turns) < FASTEST * 1e-9 * (second - first))
         return row + (stamp - first) / (second - first) * way
 
 

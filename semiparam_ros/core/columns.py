@@ -156,6 +156,7 @@ class CoupledColumns:
                  physical: bool = False) -> None:
         """Raises SemiparamError when an effect cannot be declared on this robot."""
         self.body, self.effects, self.physical = body, tuple(effects), physical
+        self._shaping = shaping_order(self.effects)
         for effect in self.effects:
             effect.check(body)
         self._effect_scales = [effect.prior_scale(body) for effect in self.effects]
@@ -373,7 +374,7 @@ class CoupledColumns:
     def _shaped(self, body: RigidBody, columns: Array) -> Array:
         """Columns (N, n, c) of bodies as the effects shape them: a gain of the efforts multiplies
         all of these."""
-        for effect in shaping_order(self.effects):
+        for effect in self._shaping:
             columns = effect.transform(body, columns)
         return columns
 

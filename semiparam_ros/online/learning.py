@@ -86,10 +86,10 @@ def learning_of(estimator: Estimator, prediction: Prediction, learn: bool, gate:
 
 def see_again(estimator: Estimator, sample: Sample, learning: int, finish: bool = True) -> HorizonErrors | None:
     """Predict a sample and observe it, as another model did before."""
-    fate = int(plain(np.array(learning)))
-    if fate != learning:
+    if abs(learning) > ANEW // 2:
         estimator.forget_offset()
-    return observe(estimator, estimator.predict(sample), fate, finish)
+        learning = int(plain(np.array(learning)))
+    return observe(estimator, estimator.predict(sample), learning, finish)
 
 
 def observe(estimator: Estimator, prediction: Prediction, learning: int, finish: bool = True) -> HorizonErrors | None:

@@ -258,10 +258,9 @@ def _facts(diagnosis: Diagnosis) -> list[tuple[str, str]]:
     samples, train_mask = diagnosis.first.samples, diagnosis.first.train_mask
     mean = f', each the mean of {diagnosis.inputs.factor} that were recorded' if diagnosis.inputs.factor > 1 else ''
     step = float(np.median(np.diff(samples.time)))
-    length = sum(float(np.ptp(samples.time[part])) for part in samples.recordings)  # pauses between them aside
     judged = diagnosis.elsewhere.name if diagnosis.elsewhere else \
         f'{int(diagnosis.judged.sum())} samples of the same recording'
-    return [('Recording', f'{len(samples)} samples over {length:.1f} s, one in '
+    return [('Recording', f'{len(samples)} samples over {samples.recorded_s:.1f} s, one in '
                           f'{1000.0 * step:.3g} ms{mean}; {int(train_mask.sum())} of them fitted.'),
             ('Judged on', f'{judged}. Nothing of it was used to find, to fit or to rank.'),
             ('Joint motion', f'{diagnosis.inputs.motion}; of the recorded and the smoothed motion, the one with which '

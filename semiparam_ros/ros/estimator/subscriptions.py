@@ -266,7 +266,7 @@ class InputStream:
     def newly_shared(self) -> list[tuple[str, list[str]]]:
         """Topics on which several publish, but temperatures, and the nodes that do; the same ones once.
 
-        They have a look's time to tell their names, and those that have told none yet so many looks.
+        They are told once two looks in a row find the same; one whose name is not known yet has ``UNNAMED_LOOKS``.
         """
         shared = []
         for topic in self.topics:
