@@ -133,6 +133,23 @@ def test_no_kind_is_named_outside_the_effects():
         assert not texts & names, path
 
 
+DOCUMENTED = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
+NO_NOUN_OR_VERB = {'as', 'how', 'is', 'of', 'that', 'those', 'what', 'where', 'whether', 'which'}
+
+
+def test_docstrings_begin_with_a_noun_or_a_verb():
+    for path in MODULES:
+        nodes = [node for node in ast.walk(ast.parse(path.read_text(encoding='utf-8'))) if isinstance(node, DOCUMENTED)]
+        first = {(ast.get_docstring(node) or 'none').split()[0].lower() for node in nodes}
+        assert not first & NO_NOUN_OR_VERB, path
+
+
+def test_no_class_name_stands_twice():
+    classes = [node.name for path in MODULES for node in ast.walk(ast.parse(path.read_text(encoding='utf-8')))
+               if isinstance(node, ast.ClassDef)]
+    assert sorted(classes) == sorted(set(classes))
+
+
 def test_the_rule_catches_an_upward_import(tmp_path, monkeypatch):
     module = tmp_path / 'core' / 'wrong.py'
     module.parent.mkdir()

@@ -91,7 +91,7 @@ def renamed(name: str, names: Mapping[str, str]) -> str:
 
 
 def _starred(name: str, pattern: str) -> str | None:
-    """What the first * of a pattern stands for in a name, all else being literal; None where it does not fit."""
+    """Text that the first * of a pattern stands for in a name, all else being literal; None where it does not fit."""
     before, star, after = pattern.partition('*')
     fits = star and name.startswith(before) and name[len(before):].endswith(after)
     return name[len(before):len(name) - len(after)] if fits else None

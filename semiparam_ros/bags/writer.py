@@ -27,7 +27,7 @@ _COMPRESSION = {'zstd': CompressionType.ZSTD, 'lz4': CompressionType.LZ4, 'none'
 
 
 def partial_path(path: Path) -> Path:
-    """Where a bag is written until it is complete."""
+    """Path at which a bag is written until it is complete."""
     return path.with_name(f'{path.name}.partial')
 
 

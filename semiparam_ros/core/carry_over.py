@@ -96,7 +96,7 @@ class CarryOver:
         return self._of_blocks()[2]
 
     def _of_blocks(self) -> tuple[int, Array, Array]:
-        """How many they were, s and log w: kept until the next one is finished."""
+        """Number of blocks, s and log w: kept until the next one is finished."""
         if self._told is None or self._told[0] != self._finished:
             log_weights = -0.5 * np.log(self.squares).sum(axis=0)
             self._told = (self._finished, np.sqrt(np.median(self.squares, axis=0)),

@@ -422,7 +422,7 @@ class CoupledColumns:
 
     @cached_property
     def _desired(self) -> tuple[CoupledColumns, CoupledColumns | None]:
-        """As the effects act on a desired state, and without those of the sensor if any are."""
+        """Form in which the effects act on a desired state, without those of the sensor if any are."""
         acting, own = [effect.desired() for effect in self.effects], None
         if any(effect.of_sensor for effect in self.effects):
             needed = [Absent(effect) if effect.of_sensor else effect for effect in acting]

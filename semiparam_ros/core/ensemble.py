@@ -147,7 +147,7 @@ class Ensemble:
             self.carried.begin_block(stamp, [each.coefficients() for each in self.models])
 
     def compare(self, prediction: Prediction) -> bool:
-        """Whether one of the models predicts better by what was known before the last change of the
+        """Return whether one of the models predicts better by what was known before the last change of the
         robot."""
         return any([model.compare(prediction.sample, its)
                     for model, its in zip(self.models, prediction.members, strict=True)])

@@ -53,7 +53,7 @@ class Member(NamedTuple):
 
     @property
     def name(self) -> str:
-        """As told to users."""
+        """Name as users read it."""
         return self.variant if self.has_effects else f'{self.variant} without effects'
 
 
@@ -225,7 +225,7 @@ class Estimator:
         self.ensemble.take_back()
 
     def compare(self, prediction: Prediction) -> bool:
-        """Whether what was known before the last change predicts better, this sample included."""
+        """Return whether what was known before the last change predicts better, this sample included."""
         return prediction.motion.is_news and self.ensemble.compare(prediction)
 
     @property

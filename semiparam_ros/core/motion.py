@@ -61,7 +61,7 @@ class Motion(NamedTuple):
         return Motion(self.place, self.since, stamp, nearby, still, outputs, is_news)
 
     def interrupted(self) -> Motion:
-        """As if the clock had jumped, whatever the stamp of the next sample."""
+        """Begin as after a jump of the clock, whatever the stamp of the next sample."""
         return self._replace(newest=self.newest - 2 * LONGEST_PAUSE_NS)
 
 

@@ -175,7 +175,7 @@ class OnlineModel:
         return mean, std
 
     def compare(self, sample: Sample, prediction: MemberPrediction) -> bool:
-        """Whether what was known before the last change of the robot predicts better."""
+        """Return whether what was known before the last change of the robot predicts better."""
         recursion = self.model.recursion
         if recursion.before is None:
             return False

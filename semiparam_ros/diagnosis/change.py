@@ -1,4 +1,4 @@
-"""What has changed at a time that is known: the likeliest effect that began, or was over, near it.
+"""Naming of a change at a time that is known: the likeliest effect that began, or was over, near it.
 
 A diagnosis asks what is missing, anywhere in a recording. Here the time is known, and what the
 model holds before it too, so that few samples after it are enough, and few seconds of a processor.
@@ -151,7 +151,7 @@ def _likeliest(tried: Sequence[Move]) -> Move | None:
 
 
 def _surpasses(best: Move, other: Move) -> bool:
-    """Whether a move is better than another one by more than what is against it beforehand, and by
+    """Return whether a move is better than another one by more than what is against it beforehand, and by
     more than chance."""
     if other is best or other.price >= best.price:
         return True
@@ -205,7 +205,7 @@ def _first_fit(body: RigidBody, samples: Samples, effects: Sequence[Effect], sin
 
 
 def _friction(body: RigidBody) -> list[Effect]:
-    """What the model of an arm with joint efforts holds of each joint
+    """Columns that the model of an arm with joint efforts has of each joint
     (``core.robot.joint_friction``)."""
     found: list[Effect] = []
     for joint in body.output_names if body.outputs == 'effort' else ():
@@ -227,7 +227,7 @@ def _candidates(fit: Fit) -> list[Effect]:
 
 
 def _places(kind: type[Effect], body: RigidBody) -> Sequence[str | None]:
-    """Where an effect may begin; at links the last one of each branch alone. A joint may have a link's name."""
+    """Places where an effect may begin; at links the last one of each branch alone. A joint may have a link's name."""
     places = kind.permitted(body) if kind.may_come else kind.places(body)
     if kind.of_joint:
         return places

@@ -82,7 +82,7 @@ class Elsewhere(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Diagnosis:
-    """What was found, and everything needed to show it.
+    """Findings, and everything needed to show them.
 
     ``before``, ``after`` and ``by_step`` (the model after each step) judge on the samples ``judged`` (N,) of those
     ``held_out`` (N,) of the recording, or on the recording ``elsewhere``. ``everything`` is the final model fitted to
@@ -116,16 +116,16 @@ class Diagnosis:
 
     @property
     def after(self) -> Evaluation:
-        """That of the final model."""
+        """Error of the final model."""
         return self.by_step[-1] if self.by_step else self.before
 
     @property
     def offsets(self) -> list[Effect]:
-        """What nobody declares, of several recordings: the offset of the wrench in each after the first."""
+        """Effects that nobody declares, of several recordings: the offset of the wrench in each after the first."""
         return own_offsets(self.first.body, self.recorded.samples)
 
     def lasts(self, effect: Effect) -> bool:
-        """Whether an effect of the final model is still there: neither over, nor the offset of one recording."""
+        """Return whether an effect of the final model is still there: neither over, nor the offset of one recording."""
         return not effect.ends and effect not in self.offsets
 
     @property
@@ -146,7 +146,7 @@ class Diagnosis:
 
     @property
     def gain_and_mass_are_one(self) -> bool:
-        """Whether gains of the outputs are found or declared, but no mass is known that would tell them from masses."""
+        """Return whether gains of the outputs are found or declared, but no mass that would tell them from masses."""
         gains = any(name.startswith('gain') for effect in self.final.effects for name, _ in effect.calibrations)
         return gains and not self.final.knows_mass
 
@@ -186,7 +186,7 @@ class Diagnosis:
 
     @property
     def on_all_samples(self) -> Evaluation:
-        """What the model that is told and declared leaves of the samples that fitted it."""
+        """Residual that the model that is told and declared leaves of the samples that fitted it."""
         return evaluate_here(self.everything, self.everything.train_mask)
 
     def as_dict(self) -> dict[str, object]:
@@ -265,7 +265,7 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
     before, *by_step = (_evaluated(fit, start, judged) for fit in (*models, final))
     progress('what is left', 0.0)
     structure, fast = (None, []) if setup else _left(final, samples, start)
-    everything, told = _told(final, steps, samples, start, other is None)
+    everything, told = _estimated(final, steps, samples, start, other is None)
     found = findings(final, steps, everything, told)
     touches, notes = [] if setup else contacts(everything), _notes(samples, start, found, names)
     for fit in (start.first, final, everything):
@@ -280,7 +280,7 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
 
 def _suspected(body: RigidBody, samples: Samples, effects: Sequence[Effect], config: DiagnosisConfig,
                touched: Sequence[tuple[float, float]]) -> list[SetupProblem]:
-    """What seems wrong with the set-up of each recording; outputs that never change raise SemiparamError."""
+    """Return what seems wrong with the set-up of each recording; outputs that never change raise SemiparamError."""
     stamped = [effect.at_stamps(samples.origin) for effect in effects]
     parts = [(alone(samples, part), ()) for part in samples.recordings] if samples.breaks else [(samples, touched)]
     found = [problem for part, contact in parts for problem in setup_problems(body, part, config, contact, stamped)]
@@ -360,7 +360,8 @@ def _left(final: Fit, samples: Samples, start: _Start) -> tuple[Structure, list[
     return structure, fast
 
 
-def _told(final: Fit, steps: list[Step], samples: Samples, start: _Start, judged_here: bool) -> tuple[Fit, Estimates]:
+def _estimated(final: Fit, steps: list[Step], samples: Samples, start: _Start,
+               judged_here: bool) -> tuple[Fit, Estimates]:
     """The final model fitted to all samples, where that gives no effect values that it cannot have, and its values."""
     everything, new = final, [index for index, _ in places_in(final, steps)]
     if steps and judged_here:
@@ -400,7 +401,7 @@ def _on_the_motion(steps: list[Step]) -> list[Step]:
 
 
 def _unlike(fit: Fit) -> bool:
-    """Whether the model leaves too much to be believed where no inertias explain the outputs."""
+    """Return whether the model leaves too much to be believed where no inertias explain the outputs."""
     outputs = fit.samples.outputs[fit.train_mask]
     left = np.mean(fit.squares / (fit.counts * outputs.var(axis=0) + 1e-300))
     return bool(left > fit.config.little)

@@ -1,4 +1,4 @@
-"""What a diagnosis says of each effect: how large, how sure, and what else it could be."""
+"""Findings of a diagnosis for each effect: how large, how sure, and what else it could be."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def findings(fit: Fit, steps: list[Step], everything: Fit, told: Estimates) -> l
 
 
 def places_in(fit: Fit, steps: list[Step]) -> list[tuple[int, int]]:
-    """Of every effect that a step added and the model still holds: its number, and its round."""
+    """Number and round of every effect that a step added and the model still holds."""
     found: dict[int, int] = {}
     for number, step in enumerate(steps, start=1):
         for effect in step.added:
@@ -79,7 +79,7 @@ def declared_findings(fit: Fit, found: list[Finding], told: Estimates) -> list[F
 
 
 def _index_in(fit: Fit, effect: Effect, taken: Collection[int]) -> int | None:
-    """Where the model holds the effect now: at its place, or, as a load moves to the nearest link, with its start. Of
+    """Index of the effect in the model now: at its place, or, as a load moves to the nearest link, with its start. Of
     several at one place, such as a load that was declared and a later one, the one whose start is nearest."""
     same = [index for index, known in enumerate(fit.effects) if known.kind == effect.kind and index not in taken
             and (known.where == effect.where or known.start_s == effect.start_s is not None)]

@@ -41,7 +41,7 @@ OPTIONS = (*SMOOTHED, 'recorded', BUT_ACCELERATIONS)
 
 
 class Inputs(NamedTuple):
-    """How a recording was prepared: which motion, how many samples each working sample averages, how many of these are
+    """Preparation of a recording: which motion, how many samples each working sample averages, how many of these are
     left out at either end of a smoothed recording, and by how much [s] velocities and accelerations came late."""
 
     motion: str
@@ -51,7 +51,7 @@ class Inputs(NamedTuple):
 
     @property
     def measured_accelerations(self) -> bool:
-        """Whether the accelerations rest on those of the recording."""
+        """Return whether the accelerations rest on those of the recording."""
         return self.motion not in ESTIMATED
 
     def prepare(self, samples: Samples) -> Samples:
@@ -164,7 +164,7 @@ def best_inputs(body: RigidBody, samples: Samples, effects: Sequence[Effect], tr
 def prepared(body: RigidBody, samples: Samples, effects: Sequence[Effect], may_fit: Mask,
              config: DiagnosisConfig = DEFAULTS, inputs: Inputs | None = None,
              clean: Mask | None = None) -> tuple[Inputs, Samples, Mask, Mask]:
-    """How samples are prepared for a model with these effects, the working samples, which (M,) of
+    """Return how samples are prepared for a model with these effects, the working samples, which (M,) of
     them may be used, and which of their outputs (M, n) tell something.
 
     :param may_fit: (N,) those that choose the motion. :param inputs: how to prepare them; chosen unless given.
@@ -276,7 +276,7 @@ def bursts(samples: Samples, config: DiagnosisConfig = DEFAULTS) -> list[str]:
 
 
 def most_samples(rate_hz: float) -> int:
-    """How many samples of this rate a diagnosis looks at."""
+    """Number of samples of this rate that a diagnosis looks at."""
     return DEFAULTS.most_working_samples * max(int(rate_hz / DEFAULTS.working_rate_hz), 1)
 
 
@@ -291,7 +291,7 @@ def require_enough(config: DiagnosisConfig, *masks: Mask) -> None:
 
 @lru_cache(maxsize=2)
 def averaged(samples: Samples, factor: int) -> Samples:
-    """What ``factor`` neighbouring samples say of the time in their middle; a remainder at the end is left out.
+    """Means of ``factor`` neighbouring samples, for the time in their middle; a remainder at the end is left out.
 
     Their mean differs from that where a quantity curves: over a time T by T^2 / 24 times its second derivative, which
     is taken off, as the second neighbours tell it: the next ones would bring more noise. Outputs are products of the

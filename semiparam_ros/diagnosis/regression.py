@@ -30,7 +30,7 @@ ROUNDED = 1e-9
 
 
 class Products(NamedTuple):
-    """Of further columns in one channel: their numbers (a,), and their products with one another (a, a), with the
+    """Products of further columns in one channel: their numbers (a,), products with one another (a, a), with the
     residual (a,) and with the declared columns that the channel feels (p_k, a), of the samples in use."""
 
     channel: int
@@ -42,7 +42,7 @@ class Products(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Explained:
-    """What columns (N, n, c) explain beyond the declared ones of a fit.
+    """Part that columns (N, n, c) explain beyond the declared ones of a fit.
 
     :param products: those of the columns. :param coefficients: (c,).
     :param rank: directions that the declared columns do not hold already.
@@ -191,7 +191,7 @@ class Fit:
 
     @property
     def knows_mass(self) -> bool:
-        """Whether a mass is known that tells the gains of the outputs from all other masses."""
+        """Return whether a mass is known that tells the gains of the outputs from all other masses."""
         return any(effect.is_load and 'mass' in effect.parameters for effect in self.effects)
 
     @cached_property
@@ -253,7 +253,7 @@ class Fit:
         return [rows.T @ left[used] for rows, used, left in zip(self.rows, self.in_use, self.residual.T, strict=True)]
 
     def _products(self, columns: Array) -> list[Products]:
-        """Those of further columns (N, n, c), of each channel in which they act."""
+        """Products of further columns (N, n, c), of each channel in which they act."""
         products = []
         for channel, (rows, acts) in enumerate(zip(self.rows, np.asarray(columns.any(axis=0)), strict=True)):
             acting, in_use = np.flatnonzero(acts), self.in_use[channel]
@@ -335,7 +335,7 @@ def refitted(fit: Fit, effects: Sequence[Effect], nuisance: Array | None, counte
 
 
 def _correcting(effects: Sequence[Effect]) -> list[Effect]:
-    """Those of the effects that correct the body or the inputs."""
+    """Effects that correct the body or the inputs."""
     return [effect for effect in effects if type(effect).correct is not Effect.correct]
 
 

@@ -52,7 +52,7 @@ def text_report(diagnosis: Diagnosis) -> list[str]:
 
 
 def summary(diagnosis: Diagnosis) -> list[str]:
-    """What was found, a line for each effect, and what to do now; :func:`text_report` has the details."""
+    """Findings, a line for each effect, and what to do now; :func:`text_report` has the details."""
     lines = _verdict(diagnosis)
     for finding in diagnosis.findings:
         effect = finding.effect
@@ -63,7 +63,7 @@ def summary(diagnosis: Diagnosis) -> list[str]:
 
 
 def _verdict(diagnosis: Diagnosis) -> list[str]:
-    """What is wrong with the set-up, else whether anything is missing, and outputs that stay a
+    """Return what is wrong with the set-up, else whether anything is missing, and outputs that stay a
     riddle, whatever was found elsewhere."""
     shifted = 'The offset of its sensor is another one there: diagnose both recordings as one, each with its own.'
     riddles = [f'{name} is not explained: {100 * left:.0f} % of its variance is left, of which '
@@ -131,7 +131,7 @@ def at_time(samples: Samples, time_s: float) -> str:
 
 
 def remarks(diagnosis: Diagnosis, effect: Effect) -> list[str]:
-    """What was found of an effect of the final model, its start aside: since when, its values, what it rests on."""
+    """Findings of an effect of the final model, its start aside: since when, its values, what it rests on."""
     found = [finding for finding in diagnosis.findings
              if finding.effect.without_span() == effect.without_span()]
     if not found:
@@ -202,7 +202,7 @@ def table_rows(diagnosis: Diagnosis) -> list[TableRow]:
 
 
 def next_step(diagnosis: Diagnosis, written: str = '') -> str:
-    """What to do now, in one line. :param written: the parameter file that declares what was found; '' for none."""
+    """Advice in one line. :param written: the parameter file that declares what was found; '' for none."""
     rivals = [finding for finding in diagnosis.findings if finding.rivals]
     if diagnosis.setup:
         return 'put right what is said above, and diagnose again: nothing else is worth reading before.'
@@ -236,7 +236,7 @@ def _with_odds(rivals: Sequence[Rival]) -> str:
 
 
 def _likely(odds: float) -> str:
-    """Of a rival, against the effect that was chosen."""
+    """Likelihood of a rival, against the effect that was chosen."""
     if 0.8 < odds < 1.25:
         return 'as likely'
     ratio = min(max(odds, 1.0 / odds), 1e6)

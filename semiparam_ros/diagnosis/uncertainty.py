@@ -46,7 +46,7 @@ class Estimates(NamedTuple):
 
 
 def estimates(fit: Fit, found: Collection[int], disturbed: Sequence[Samples] = ()) -> Estimates:
-    """Those of a fitted model, where its calibrations and the nonlinear values of the effects with the numbers
+    """Estimates of a fitted model, where its calibrations and the nonlinear values of the effects with the numbers
     ``found`` are open too.
 
     :param disturbed: the samples with the errors of their motion once more.

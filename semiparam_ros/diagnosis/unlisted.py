@@ -26,8 +26,8 @@ from semiparam_ros.diagnosis.search.stepwise import Step
 
 
 def function_explains_more(first: Fit, final: Fit) -> bool:
-    """Whether a smooth function of the motion and of time beside the first model predicts unseen blocks better than
-    the final model does."""
+    """Return whether a smooth function of the motion and of time beside the first model predicts unseen blocks
+    better than the final model does."""
     config, rows = final.config, samples_to_look_at(final.train_mask, final.config)
     if final is first or len(rows) < config.structure_least_samples:
         return False
@@ -37,7 +37,7 @@ def function_explains_more(first: Fit, final: Fit) -> bool:
 
 
 def worth_beside_function(fit: Fit) -> list[Gain]:
-    """Of each effect: what it gains [nat] over the model without it, with a smooth function beside both."""
+    """Gain [nat] of each effect over the model without it, with a smooth function beside both."""
     config = fit.config
     left, *without = _beside_function([fit, *(remaining(fit, others(fit, effect)) for effect in fit.effects)])
     counts = fit.counted[samples_to_look_at(fit.train_mask, config)].sum(axis=0)

@@ -195,7 +195,7 @@ class TimeDelay(Effect):
         return body, delayed, _Past(*(values[-needed:] for values in past))  # type: ignore[arg-type]
 
     def _needed(self, stamps: Stamps) -> int:
-        """How many of the newest samples the next ones are interpolated between."""
+        """Number of the newest samples between which the next ones are interpolated."""
         reach_s = min(max(self.value('delay_s'), -3.0 * self.value('delay_s')), LONGEST_DELAY_S)
         first = int(np.searchsorted(stamps, stamps[-1] - round(reach_s * 1e9), side='right')) - 2
         return min(max(len(stamps) - first, self.kept), self.most_kept)

@@ -46,7 +46,7 @@ KNOWN = 1e8
 """Times the precision of inertias that are known."""
 
 
-class KnownEffect(Protocol):
+class EffectEstimate(Protocol):
     """An effect whose coefficients (c,) and their standard deviations (c,) are known."""
 
     effect: Effect
@@ -224,7 +224,7 @@ def from_estimator(estimator: Estimator, samples: Samples | None, name: str) -> 
                     origin=estimator.origin or 0)
 
 
-def with_known(estimate: Estimate, known: Sequence[KnownEffect]) -> Estimate:
+def with_known(estimate: Estimate, known: Sequence[EffectEstimate]) -> Estimate:
     """The estimate with effects beside it that were taken off all samples, as loads in the hand.
 
     Another tool, which is a difference of bodies, is a part of the rigid body.
@@ -257,7 +257,7 @@ def _table(model: CoupledColumns, samples: Samples, used: Mask,
 
 
 def _with_starts(table: SampleTable, time: Array) -> SampleTable:
-    """Of loads that do not say when they start, note what the samples show, and set the columns to
+    """Note what the samples show of loads that do not say when they start, and set the columns to
     zero before."""
     block: Indices = np.arange(len(time)) * BLOCKS // len(time)
     for index, effect in enumerate(table.model.effects):

@@ -119,7 +119,7 @@ class KnownEffect:
 
 
 class AppliedEffects:
-    """Those of one robot, the foremost first."""
+    """Applied effects of one robot, the foremost first."""
 
     def __init__(self, body: RigidBody) -> None:
         self._body = body
@@ -160,12 +160,12 @@ class AppliedEffects:
 
     @property
     def applied(self) -> list[KnownEffect]:
-        """Those that are there now."""
+        """Effects that are there now."""
         return [trial for trial in self.trials if trial.applied]
 
     @property
     def acts(self) -> bool:
-        """Whether anything is taken off."""
+        """Return whether anything is taken off."""
         return self.provisional is not None or any(trial.acting for trial in self.trials)
 
     @property
@@ -251,7 +251,7 @@ class AppliedEffects:
         return bodies, bias
 
     def of_change(self, number: int) -> KnownEffect | None:
-        """That of the change with a number."""
+        """Effect of the change with a number."""
         return next((trial for trial in self.trials if trial.number == number), None)
 
     def begun(self, trial: KnownEffect, otherwise: int) -> int:
@@ -373,7 +373,7 @@ class AppliedEffects:
         self._keep(other for other in self.trials if other.applied or other.taken_back not in forgotten)
 
     def unsupported(self) -> list[KnownEffect]:
-        """Those for which nothing has spoken as long as one is tried."""
+        """Effects for which nothing has spoken as long as one is tried."""
         return [
             trial
             for trial in self.trials
@@ -381,8 +381,8 @@ class AppliedEffects:
         ]
 
     def state(self) -> Memory:
-        """What :meth:`restore` takes back: what is applied or remembered, in the order in which it was taken back, and
-        what was taken off. One that is provisional is noticed anew."""
+        """Values that :meth:`restore` takes back: what is applied or remembered, in the order in which it was taken
+        back, and what was taken off. One that is provisional is noticed anew."""
         kept = [trial for trial in self.trials if trial.applied or trial.remembered]
         kept.sort(key=lambda trial: trial.taken_back)
         taken_off, load = self.contributions, self.provisional

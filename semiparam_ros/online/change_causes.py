@@ -1,4 +1,4 @@
-"""What may change on a robot, and how well each of that explains innovations.
+"""Causes of changes of a robot, and how well each of that explains innovations.
 
 A cause moves some columns C of the model, by coefficients L theta with theta ~ N(0, I). From the
 products A = sum L' C' S^-2 C L and h = sum L' C' S^-2 r of a window, with noise kappa S^2,
@@ -35,7 +35,7 @@ MASS_SHOWS = 2.5
 
 
 class Cause(NamedTuple):
-    """What may change: its kind and place as effects have them ('' for no known kind), its part of
+    """Cause of a change: its kind and place as effects have them ('' for no known kind), its part of
     the directions, and minus the log of its prior probability [nat]."""
 
     kind: str
@@ -49,7 +49,7 @@ LEARNING = Cause('learning', None, slice(0, 0), 0.0)
 
 
 def causes_of(columns: CoupledColumns) -> tuple[list[Cause], Array]:
-    """What may change on a robot, and the directions L (p + t, K) of all of them in units of their
+    """Causes that may change on a robot, and the directions L (p + t, K) of all of them in units of their
     priors; p: columns of the model without those of effects, t: small turns."""
     body, blocks = columns.body, columns.blocks
     turns = slice(columns.n_own, columns.n_own + TILTS + len(body.joints))
@@ -166,7 +166,7 @@ class Judged(NamedTuple):
 def likeliest_window(
     fit: CauseFit, evidence: Array, kappa: Array, counts: Indices, grams: Array, sums: Array
 ) -> Judged:
-    """Where a cause is likeliest, by its evidence (S,) beside all else over so many blocks each.
+    """Window in which a cause is likeliest, by its evidence (S,) beside all else over so many blocks each.
 
     :param grams: (S, K, K) and :param sums: (S, K) of the later half of each window, of which what
         is over explains nothing.

@@ -76,7 +76,7 @@ does makes up for it."""
 
 
 class Decision(NamedTuple):
-    """What was decided of a change at a stamp [ns]: one of ``ASSUMED`` to ``LEARNT``.
+    """Decision about a change at a stamp [ns]: one of ``ASSUMED`` to ``LEARNT``.
 
     :param evidence: [nat] of what came since it was tried, or since it was over.
     :param error_share: the error while it was applied over what it would have been without; None
@@ -131,7 +131,7 @@ class Contacts:
             self.end(block.end)
 
     def end(self, stamp: int) -> None:
-        """What stood out is over, or looked at no longer, at a stamp [ns]."""
+        """End what stood out, or is looked at no longer, at a stamp [ns]."""
         if self._since is not None:
             self.over.append((self._since, stamp))
             self._since = None
@@ -161,7 +161,7 @@ class ChangeRecord:
 
     @property
     def effect(self) -> Effect | None:
-        """What it is, its times as stamps; over when the change is."""
+        """Effect that it is, its times as stamps; over when the change is."""
         effect = self.restored if self.named is None else self.named.effect
         if effect is None or effect.ends or self.change.ended is None:
             return effect
@@ -170,7 +170,7 @@ class ChangeRecord:
 
     @property
     def retracted(self) -> bool:
-        """Whether it was no change after all: no effect explains it better than none, or it was
+        """Return whether it was no change after all: no effect explains it better than none, or it was
         over as soon as a contact is and no load."""
         effect = self.effect
         if self.part_of is not None:
@@ -182,13 +182,13 @@ class ChangeRecord:
 
     @property
     def brief(self) -> bool:
-        """Whether it was over as soon as a contact is; that is not known where the clock was set back."""
+        """Return whether it was over as soon as a contact is; that is not known where the clock was set back."""
         change = self.change
         return change.ended is not None and 0 <= change.ended - change.since < CONTACT_S * NANOSECONDS
 
     @property
     def was_applied(self) -> bool:
-        """Whether the model was helped by it."""
+        """Return whether the model was helped by it."""
         return any(decision.what in (APPLIED, TAKEN_BACK) for decision in self.decisions)
 
     @property
@@ -315,13 +315,12 @@ class ChangeWatch:
         """Whether the next sample is not to be learnt, and whether it is the first one."""
         self.follows: Learning | None = None
         """What follows with the next sample that is learnt, the first one of a robot that has changed."""
-        self._held_s = 0.0
         self._assumed = 0, 0
         """The change whose load is taken off before it is named, and of how many blocks it is."""
         self._body, self._background, self._told, self._failed = body, background, told, failed
         self._columns: CoupledColumns | None = None
-        self._moved_s = 0.0
-        """Motion that was judged so far."""
+        self._held_s = self._moved_s = 0.0
+        """Motion that was held, less what made up for it, and that was judged so far."""
         self._due: list[tuple[float, int]] = []
         """After how much motion [s] changes of these numbers are named next."""
         self._naming, self._contacts = False, Contacts()
@@ -359,7 +358,7 @@ class ChangeWatch:
 
     @property
     def latest(self) -> ChangeRecord | None:
-        """That of the change noticed last; None before any."""
+        """Record of the change noticed last; None before any."""
         records = self.records.values()
         return max(records, key=lambda record: record.change.number, default=None)
 
@@ -376,7 +375,7 @@ class ChangeWatch:
 
     @property
     def picked(self) -> tuple[bool, Load | None]:
-        """Whether a load was picked up or put down, and what is there of it, as far as that is known."""
+        """Return whether a load was picked up or put down, and what is there of it, as far as that is known."""
         loads = [
             Load(str(trial.effect.where), trial.coefficients, np.diag(trial.std**2))
             for trial in self.applied.applied
@@ -475,7 +474,7 @@ class ChangeWatch:
             self._decide(trial.number, Decision(DROPPED, now, trial.score))
 
     def _surpassed(self, detector: ChangeDetector, trial: KnownEffect) -> bool:
-        """Whether something else may as well have happened as that an effect that is known came
+        """Return whether something else may as well have happened as that an effect that is known came
         again, or went: a contact, or another load."""
         if not (trial.applied or trial.remembered):
             return False
@@ -486,7 +485,7 @@ class ChangeWatch:
         return likeliest is not None and likeliest.evidence > 0.0
 
     def _switch(self, detector: ChangeDetector, trial: KnownEffect, now: int) -> None:
-        """What stood out was this effect that came, or went: go on with the model as it was."""
+        """Take what stood out for this effect that came, or went: go on with the model as it was."""
         score, since = trial.score, trial.since
         came_again = trial.remembered and not trial.applied
         share = trial.share if trial.applied else None
@@ -513,7 +512,7 @@ class ChangeWatch:
     def _record_of(
         self, trial: KnownEffect, known: ChangeRecord | None, number: int, since: int, now: int
     ) -> ChangeRecord:
-        """That of an effect that comes again, or that was there before the node began."""
+        """Record of an effect that comes again, or that was there before the node began."""
         effect = trial.effect
         begun = since if trial.applied or known is not None else self.applied.begun(trial, since)
         change = Change(number, begun, now, effect.kind, effect.where, np.nan, np.nan, trial.score, ())
@@ -571,7 +570,7 @@ class ChangeWatch:
             self.detector.learn_usual()
 
     def _as_told(self, prediction: Prediction, model: Model) -> tuple[Prediction, Model]:
-        """What the detector judges: without what is applied, and nothing else. It follows a load itself."""
+        """Return what the detector judges: without what is applied, and nothing else. It follows a load itself."""
         sample, applied = prediction.sample, self.applied
         if applied.provisional is None and not applied.ahead.any():
             return prediction, model
@@ -597,7 +596,7 @@ class ChangeWatch:
             self._decide(followed.change.number, Decision(ASSUMED, self._now))
 
     def _waits(self, number: int) -> bool:
-        """Whether a change is still to be named, or tried, or may be over yet."""
+        """Return whether a change is still to be named, or tried, or may be over yet."""
         record = self.records.get(number)
         if record is None or any(decision.what == DROPPED for decision in record.decisions):
             return False
@@ -625,7 +624,7 @@ class ChangeWatch:
             self._decide(number, Decision(TRIED, self._now))
 
     def _detector_of(self, columns: CoupledColumns) -> ChangeDetector:
-        """That of a model, which goes on where the model's columns are those that it had."""
+        """Detector of a model, which goes on where the model's columns are those that it had."""
         known = self._columns
         if (
             self.detector is None

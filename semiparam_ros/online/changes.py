@@ -123,7 +123,7 @@ ROUNDED = 1e-11
 
 
 class Change(NamedTuple):
-    """What was told of a change.
+    """Change as it was told.
 
     :param number: counts them; one that is judged anew keeps its own.
     :param since: [ns] stamp at which it began. :param noticed: [ns] when that was.
@@ -177,7 +177,7 @@ def gained(added: Array, came: bool) -> Array:
 
 
 class Usual:
-    """What causes explain in free motion over windows of one length, and which ratio to that stands
+    """Part that causes explain in free motion over windows of one length, and which ratio to that stands
     out.
 
     :param length: [blocks]
@@ -189,7 +189,7 @@ class Usual:
         self._noise: deque[float] = deque(maxlen=USUAL)
 
     def add(self, explained: Array, noise: float) -> None:
-        """Of one window (c,) that nothing stands out of, and what the whole rigid body explains of
+        """Add that of one window (c,) that nothing stands out of, and what the whole rigid body explains of
         its innovations."""
         if self.known:
             self.tail.add(np.sqrt(explained / self.mean))
@@ -198,7 +198,7 @@ class Usual:
 
     @property
     def known(self) -> bool:
-        """Whether there is anything to compare with."""
+        """Return whether there is anything to compare with."""
         return len(self._squares) >= FEWEST
 
     @property
@@ -208,12 +208,12 @@ class Usual:
 
     @property
     def median(self) -> float:
-        """What the whole rigid body explains of the usual window, whatever a few others were."""
+        """Median that the whole rigid body explains of the usual window, whatever a few others were."""
         return max(float(np.median([squares[-1] for squares in self._squares])), 1.0)
 
     @property
     def noise(self) -> float:
-        """The same of its innovations."""
+        """Median of its innovations."""
         return max(float(np.median(self._noise)), 1.0)
 
     def ratio(self, explained: Array) -> float:
@@ -261,7 +261,7 @@ class Followed:
         self.theta = self._latest[0]
 
     def without(self, grams: Array, sums: Array) -> CauseFit:
-        """How well it explains all blocks since it began but the last ones, which have these A
+        """Fit with which it explains all blocks since it began but the last ones, which have these A
         (S, K, K) and h (S, K)."""
         part = self.cause.part
         return CauseFit.of(
@@ -383,12 +383,12 @@ class ChangeDetector:
 
     @property
     def knows(self) -> bool:
-        """Whether it has seen enough free motion to tell anything."""
+        """Return whether it has seen enough free motion to tell anything."""
         return self._usual[LENGTHS.index(8)].known
 
     @property
     def judges(self) -> bool:
-        """Whether it knows, or knew before, how large the noise is."""
+        """Return whether it knows, or knew before, how large the noise is."""
         return self.knows or bool(self._former)
 
     @property
@@ -399,7 +399,7 @@ class ChangeDetector:
 
     @property
     def stands_out(self) -> bool:
-        """Whether anything does, be it a contact, a change that is told yet, or one that is over."""
+        """Return whether anything does, be it a contact, a change that is told yet, or one that is over."""
         return self.touched or bool(self._standing)
 
     @property
@@ -586,7 +586,7 @@ class ChangeDetector:
         self._refer()
 
     def _outstanding(self, moments: Array) -> list[float]:
-        """How far anything stands out of the last blocks, which have these h (B, K), over each of
+        """Ratio by which anything stands out of the last blocks, which have these h (B, K), over each of
         the lengths."""
         lengths = [length for length in LENGTHS if length <= len(self._blocks)]
         starts, ratios = len(self._blocks) - np.array(lengths, dtype=int), list[float]()
@@ -611,7 +611,7 @@ class ChangeDetector:
         return moments
 
     def _noise_of(self, length: int) -> float:
-        """What the whole rigid body explains of the innovations of so many blocks, over the number
+        """Share that the whole rigid body explains of the innovations of so many blocks, over the number
         of directions that it tells of."""
         latest, part = list(self._blocks)[-length:], self.causes[-1].part
         gram = np.sum([each.gram[part, part] for each in latest], axis=0)
@@ -657,7 +657,7 @@ class ChangeDetector:
         return next(usual.noise for usual in reversed(self._noise_from) if usual.known)
 
     def _tell(self, stamp: int) -> Change | None:
-        """Which hypothesis what stands out speaks for."""
+        """Return the hypothesis for which what stands out speaks."""
         followed = self.followed
         again = followed is not None and followed.blocks < JUDGED_ANEW
         best, learns = self._likeliest(None if again else followed)
@@ -687,10 +687,7 @@ class ChangeDetector:
 
         :param followed: what this change explains is taken off.
         """
-        now = len(self._blocks)
-        counts = np.array([count for count in SINCE if count <= now], dtype=int)
-        if 0 < self._standing < min(SINCE):
-            counts = np.array([min(self._standing, now)])
+        now, counts = len(self._blocks), self._counts()
         if not len(counts):
             return None, False
         starts = now - counts
@@ -729,6 +726,13 @@ class ChangeDetector:
             if best.evidence < SURE and not learns:
                 break
         return best, bool(learns)
+
+    def _counts(self) -> Indices:
+        """(S,) numbers of blocks ago at which a change may have begun."""
+        now = len(self._blocks)
+        if 0 < self._standing < min(SINCE):
+            return np.array([min(self._standing, now)])
+        return np.array([count for count in SINCE if count <= now], dtype=int)
 
     def _noise_left(
         self, power: Array, fits: Sequence[CauseFit], starts: Indices, brief: Indices
@@ -775,7 +779,7 @@ class ChangeDetector:
         return gained
 
     def _learning(self, grams: Array, sums: Array) -> CauseFit:
-        """How well coefficients that the model knows no better, of covariance P, explain windows
+        """Fit with which coefficients that the model knows no better, of covariance P, explain windows
         with these sums."""
         part = self._own_part
         values, vectors = np.linalg.eigh(self._covariance)
@@ -801,7 +805,7 @@ class ChangeDetector:
         return np.asarray(np.maximum(each, at_hand[..., 0]).max(axis=1))
 
     def contact_rather(self, row: int, came: bool, since: int, shares: Array) -> bool:
-        """Whether the robot is touched, or may be, rather than that a known effect ``came``, or
+        """Return whether the robot is touched, or may be, rather than that a known effect ``came``, or
         went, within the first block from a stamp [ns] on.
 
         That block has a part of the effect, and speaks for neither. As much noise is expected as

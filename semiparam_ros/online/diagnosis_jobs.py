@@ -160,7 +160,7 @@ def declared(found: Diagnosis) -> tuple[Effect, ...]:
 
 
 def thinned(batch: SampleBatch, share: float) -> SampleBatch:
-    """As many of them, evenly spread, as a diagnosis looks at that gets a share of a processor."""
+    """Return as many of them, evenly spread, as a diagnosis looks at that gets a share of a processor."""
     count = len(batch)
     step = min(-(-count // int(share * SAMPLES_AT_MOST)), count // SAMPLES_AT_LEAST)
     return batch.part(0, step=max(step, 1))

@@ -58,7 +58,7 @@ class FolderLock:
             self._descriptor = None
 
     def _is_there(self, descriptor: int) -> bool:
-        """Whether the file that is locked is the one that others find: the folder may have been removed and made
+        """Return whether the file that is locked is the one that others find: the folder may have been removed and made
         anew."""
         try:
             return os.path.samestat(os.fstat(descriptor), self._path.lstat())

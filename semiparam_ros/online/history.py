@@ -103,7 +103,7 @@ class SampleBatch:
         return replace(self, rows=chosen)
 
     def chosen(self, mask: Mask) -> SampleBatch:
-        """Those of a mask (N,), copied."""
+        """Samples of a mask (N,), copied."""
         ends = np.cumsum([len(rows.stamps) for rows in self.rows])[:-1]
         return replace(self, rows=[rows.part(part) for rows, part in
                                    zip(self.rows, np.split(mask, ends), strict=True)])

@@ -175,7 +175,7 @@ class Learner:
         self._predicts_otherwise()
 
     def _predicts_otherwise(self) -> None:
-        """What predicts, or is taken off, is another from here on: residuals of before are none to tare or judge by."""
+        """Begin with another model, or another part taken off: residuals of before are none to tare or judge by."""
         self.tare.begin_anew()
         self.gate.begin_rest()
 
@@ -486,7 +486,7 @@ class Learner:
 
     @property
     def disturbed(self) -> bool:
-        """Whether the outputs show more than the model holds: a contact, or a change."""
+        """Return whether the outputs show more than the model holds: a contact, or a change."""
         return self.gate.closed or self.changes.state not in QUIET
 
     def reset(self) -> None:

@@ -13,7 +13,7 @@ from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.hyperparameters.estimation import Hyperparameters
 from semiparam_ros.core.initial_window import beginning_steps
 from semiparam_ros.core.robot.rigid_body import RigidBody
-from semiparam_ros.core.types import Codes, Stamps
+from semiparam_ros.core.types import Codes, Indices, Mask, Stamps
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online.history import SampleBatch
 from semiparam_ros.online.learning import OFF, Learning, follow_change, is_change, observe, plain, see_again
@@ -81,14 +81,7 @@ def renew(settings: Settings, body: RigidBody, batch: SampleBatch, origin: int |
     compared = later_window(learnt, judged(later.samples))
     changes = 1 + np.flatnonzero(is_change(learning[1:begin]))  # of what was before the first nothing is known
     fates = dict(zip(changes.tolist(), learning[changes].tolist(), strict=True))
-    since = max(fates, default=0)
-    first, every = (max(OLDER, -(-count // OLDER_OF_DRAFT)) if later.draft else OLDER
-                    for count in (since, begin - since))
-    older = np.zeros(begin, dtype=bool)
-    older[:since:first] = older[since::every] = older[changes] = True
-    _leave_out_taken_back(learning[:begin], batch.stamps[:begin])
-    learning[:begin] = np.minimum(learning[:begin], np.where(older, Learning.YES, Learning.NO))
-    learning[:begin][learning[:begin] == Learning.RETURNED] = Learning.NO
+    older = _thin(learning[:begin], batch.stamps[:begin], changes, later.draft)
     replayed = np.append(older[:start], np.ones(len(batch) - start, dtype=bool))
     each = zip(np.flatnonzero(replayed).tolist(), batch.chosen(replayed).pairs(), learning[replayed].tolist(),
                compared[replayed].tolist(), strict=True)
@@ -104,8 +97,20 @@ def renew(settings: Settings, body: RigidBody, batch: SampleBatch, origin: int |
     return estimator
 
 
+def _thin(learning: Codes, stamps: Stamps, changes: Indices, draft: bool) -> Mask:
+    """Mask (b,) of the samples before the window that are replayed; of the others ``learning`` (b,) then says no."""
+    begin, since = len(learning), max(changes.tolist(), default=0)
+    first, every = (max(OLDER, -(-count // OLDER_OF_DRAFT)) if draft else OLDER for count in (since, begin - since))
+    older = np.zeros(begin, dtype=bool)
+    older[:since:first] = older[since::every] = older[changes] = True
+    _leave_out_taken_back(learning, stamps)
+    learning[:] = np.minimum(learning, np.where(older, Learning.YES, Learning.NO))
+    learning[learning == Learning.RETURNED] = Learning.NO
+    return older
+
+
 def _follow(estimator: Estimator, fate: int, anew: bool) -> None:
-    """What came with a sample, before it is learnt."""
+    """Follow what came with a sample, before it is learnt."""
     follow_change(estimator, fate)
     if anew:
         estimator.forget_offset()

@@ -354,7 +354,7 @@ def _configuration(path: Path) -> Configuration:
 
 
 def _write_archive(stream: IO[bytes], arrays: Arrays) -> None:
-    """As numpy.savez, which however copies every array while it holds the interpreter's lock."""
+    """Write as numpy.savez does, which however copies every array while it holds the interpreter's lock."""
     with zipfile.ZipFile(stream, 'w') as archive:
         for name, given in arrays.items():
             values = given if given.flags.f_contiguous else np.ascontiguousarray(given)

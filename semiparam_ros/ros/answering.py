@@ -27,13 +27,13 @@ class AnsweringNode(Node):
 
     def create_service(self, srv_type: Any, srv_name: str, callback: Callable[[Any, Any], Any],
                        **options: Any) -> Service:
-        """As every node does, but whatever the callback raises, a response is sent."""
+        """Create a service as every node does, but whatever the callback raises, a response is sent."""
         return super().create_service(srv_type, srv_name, answering(callback, partial(self.failure, srv_name)),
                                       **options)
 
     def create_subscription(self, msg_type: Any, topic: str, callback: Callable[..., Any], qos_profile: Any,
                             **options: Any) -> Subscription:
-        """As every node does, but a simulated time that rclpy cannot take goes to :meth:`message_failed`."""
+        """Subscribe as every node does, but a simulated time that rclpy cannot take goes to :meth:`message_failed`."""
         if msg_type is Clock and not options.get('raw'):
             callback = partial(self._take_time, callback)
         return super().create_subscription(msg_type, topic, callback, qos_profile, **options)

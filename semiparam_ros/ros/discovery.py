@@ -53,7 +53,7 @@ def is_named(info: TopicEndpointInfo) -> bool:
 
 
 def name_fault(topic: str) -> str:
-    """What makes a name none of a topic, in the words of rcl; '' where nothing does."""
+    """Fault that makes a name none of a topic, in the words of rcl; '' where nothing does."""
     try:
         validate_full_topic_name(expand_topic_name(topic, 'node', '/'))
     except (InvalidTopicNameException, ValueError) as error:

@@ -176,8 +176,8 @@ def _sections(tree: Mapping[str, object], prefix: str) -> Iterator[tuple[str, ob
 
 
 def _fits(section: str, node: str) -> bool:
-    """Whether ROS hands a section to a node, of a bare name to one in some namespace: a star is one name, two are
-    any number of them."""
+    """Return whether ROS hands a section to a node, of a bare name to one in some namespace: a star is one name,
+    two are any number of them."""
     stars = {'*': '/[^/]+', '**': '(/[^/]+)*'}
     tokens = section.removeprefix('/').split('/')
     tokens = tokens if '/' in node else ['**', tokens[-1]]

@@ -1,4 +1,4 @@
-"""How much a sample tells of a rigid body while noise stays alike for seconds.
+"""Information of a sample of a rigid body while noise stays alike for seconds.
 
 Noise of covariance sigma^2 (I + kappa R) that is learnt as if it were white says the same thing
 again and again. So many of its samples tell as much of the columns as one of white noise with the
@@ -23,7 +23,7 @@ FOLDS = 5
 
 
 def autocorrelation_time(window: Window, at: Point) -> float:
-    """Of 1, the root of r and r the one that predicts the left-out parts best, of a rigid body with
+    """Return the one of 1, the root of r and r that predicts the left-out parts best, of a rigid body with
     physical priors; 1 where that is within a standard error (Breiman et al. 1984)."""
     most = integrated_autocorrelation_time(window.coupled * window.prior_scale, at.kappa, at.memory)
     tried = np.array([1.0, np.sqrt(most), most])

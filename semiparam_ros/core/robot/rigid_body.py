@@ -254,7 +254,7 @@ class RigidBody:
 
     @cached_property
     def prismatic(self) -> frozenset[str]:
-        """Those of the joints that slide."""
+        """Names of the joints that slide."""
         models = ((joint, self.arm.joints[self.arm.getJointId(joint)]) for joint in self.joints)
         return frozenset(joint for joint, model in models if model.shortname().startswith('JointModelP'))
 

@@ -1,4 +1,4 @@
-"""What small turns of a robot add to its outputs y = psi theta, to first order:
+"""Changes of the outputs y = psi theta by small turns of a robot, to first order:
 
     dy / d tilt = d psi(q, dq, ddq; exp(tilt)' g) / d tilt theta     of its base
     dy / d zero = d psi(q + zero, dq, ddq; g) / dq theta             of a joint's zero
@@ -59,5 +59,5 @@ class SmallTurns:
 
 @lru_cache(maxsize=4)
 def small_turns(body: RigidBody) -> SmallTurns:
-    """Those of a robot; the latest ones are remembered."""
+    """Small turns of a robot; the latest ones are remembered."""
     return SmallTurns(body)

@@ -1,4 +1,4 @@
-"""How long values stay alike in time."""
+"""Time for which values stay alike."""
 
 from __future__ import annotations
 

@@ -54,7 +54,7 @@ def typical_step(time: Array) -> float:
 
 
 def working_factor(samples: Samples, config: DiagnosisConfig = DEFAULTS) -> int:
-    """How many samples one working sample averages."""
+    """Number of samples that one working sample averages."""
     if len(samples) < 2:
         return 1
     rate = 1e9 / float(np.median(np.diff(samples.stamps)))
@@ -62,7 +62,7 @@ def working_factor(samples: Samples, config: DiagnosisConfig = DEFAULTS) -> int:
 
 
 def margin(samples: Samples, config: DiagnosisConfig = DEFAULTS) -> int:
-    """How many samples beside a gap or a break are left out."""
+    """Number of samples beside a gap or a break that are left out."""
     return max(config.gap_margin, working_factor(samples, config) * config.smoothing_ends)
 
 

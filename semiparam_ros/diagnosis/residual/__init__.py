@@ -1,1 +1,1 @@
-"""What no effect explains: whether it is noise, what it depends on, and a formula for it."""
+"""Residual that no effect explains: whether it is noise, what it depends on, and a formula for it."""

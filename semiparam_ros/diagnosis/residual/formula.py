@@ -1,4 +1,4 @@
-"""Which variables the structure in a residual depends on, by forward selection, and a sparse formula
+"""Variables that the structure in a residual depends on, by forward selection, and a sparse formula
 for one output channel, from named terms that the effect kind ``terms`` understands. Unseen blocks
 judge both."""
 
@@ -91,7 +91,7 @@ class Summand(NamedTuple):
 
 
 class Formula(NamedTuple):
-    """What was found for one channel; ``share`` of the residual that it explains on unseen blocks."""
+    """Formula found for one channel; ``share`` of the residual that it explains on unseen blocks."""
 
     channel: str
     summands: tuple[Summand, ...]

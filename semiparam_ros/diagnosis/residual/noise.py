@@ -1,4 +1,4 @@
-"""How much of a residual is noise: its floor, its correlation time, noise of the same colour, and what noise in the
+"""Noise in a residual: its floor, its correlation time, noise of the same colour, and what noise in the
 inputs leaves in it.
 
 A sensor's noise may be correlated over a second. A function of the motion fitted on some blocks then predicts a little

@@ -1,4 +1,4 @@
-"""Is anything left that no kind explains, what does it depend on, and what formula describes it?"""
+"""Structure that no kind explains: is any left, what does it depend on, and what formula describes it?"""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from semiparam_ros.effects.terms import Terms
 
 @dataclass(frozen=True)
 class Structure:
-    """What a smooth function of the motion and of time would still explain of a residual, on unseen blocks.
+    """Share that a smooth function of the motion and of time would still explain of a residual, on unseen blocks.
 
     ``share`` and ``channel_shares`` (n,): of the squared residual; about 0 where there is nothing. ``variables``:
     what it depends on, the most telling first. ``families``: share by family of functions.
@@ -39,7 +39,7 @@ class Structure:
 
     @property
     def sentence(self) -> str:
-        """What a user reads."""
+        """Sentence that a user reads."""
         if not self.significant and self.as_slow_noise:
             return (f'A function of the motion or of time explains {100 * self.share:.0f} % of what is left, at most '
                     f'{100 * self.channel_shares.max():.0f} % of one output: no more than of noise that is as slow.')
@@ -96,7 +96,7 @@ def _described(fit: Fit, rows: Stamps, motion: StandardisedInputs, affected: Arr
 
 
 def _beyond_chance(motion: StandardisedInputs, residual: Array, counted: Mask) -> tuple[bool, Mask]:
-    """Whether more is explained than of noise of the residual's colour: in all channels together, and (n,) in each.
+    """Return whether more is explained than of noise of the residual's colour: in all channels, and (n,) in each.
 
     Asked twice, for time takes what is slow: once with it, and once of the motion alone.
     """
@@ -115,7 +115,7 @@ def _beyond_chance(motion: StandardisedInputs, residual: Array, counted: Mask) -
 
 
 def _stands_out(shares: Array, deviations: float) -> Mask:
-    """Whether the first row of shares (1 + draws, ...), the residual's, is beyond the others, those of noise."""
+    """Return whether the first row of shares (1 + draws, ...), the residual's, is beyond the others, those of noise."""
     return np.asarray(shares[0] > shares[1:].mean(axis=0) + deviations * shares[1:].std(axis=0, ddof=1))
 
 

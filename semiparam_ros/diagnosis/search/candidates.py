@@ -28,12 +28,12 @@ def candidates(fit: Fit, kinds: dict[str, type[Effect]]) -> list[tuple[type[Effe
 
 
 def identity(effect: Effect) -> Place:
-    """What tells an effect from the others of a model."""
+    """Key that tells an effect from the others of a model."""
     return effect.kind, effect.where, effect.start_s if effect.must_start else None
 
 
 def held(effects: Sequence[Effect]) -> set[tuple[str, str | None]]:
-    """What a model with these effects holds already, as such or as a part of another one, and cannot hold twice."""
+    """Keys of what these effects hold already, as such or as a part of another one, and a model cannot hold twice."""
     return {(part.kind, part.where) for effect in effects if not effect.must_start
             for part in (effect, *effect.plainer())}
 

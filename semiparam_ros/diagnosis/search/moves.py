@@ -34,7 +34,7 @@ class Move(NamedTuple):
 
     @property
     def good(self) -> bool:
-        """Whether it may be made."""
+        """Return whether it may be made."""
         return self.gain.exceeds(self.price, self.after.config.sure)
 
 
@@ -69,8 +69,8 @@ def _at_each_time(fit: Fit, effect: Effect) -> list[Effect]:
 
 
 def repeated_moves(fit: Fit, ranking: Sequence[Trial], kinds: dict[str, type[Effect]]) -> list[Move]:
-    """What begins twice, as a load that is picked up again: with one of them alone the model is no better, for the rest
-    of it bends towards the other."""
+    """Moves of what begins twice, as a load picked up again: with one of them alone the model is no better, for the
+    rest of it bends towards the other."""
     moves, known = list[Move](), {identity(effect) for effect in fit.effects}
     foremost = {trial.effect.kind: trial for trial in reversed(ranking) if trial.effect.must_start
                 and identity(trial.effect) not in known}
@@ -83,7 +83,7 @@ def repeated_moves(fit: Fit, ranking: Sequence[Trial], kinds: dict[str, type[Eff
 
 
 def ending_moves(fit: Fit) -> list[Move]:
-    """What the model holds and may be over: a load that was put down. One that weighs less than nothing was not there:
+    """Moves that end what may be over: a load that was put down. One that weighs less than nothing was not there:
     another was picked up when it would be over."""
     moves = []
     for number, effect in enumerate(fit.effects):
@@ -100,7 +100,7 @@ def ending_moves(fit: Fit) -> list[Move]:
 
 
 def swapping_moves(fit: Fit, pairs: Sequence[tuple[Effect, Effect]], kinds: Collection[str]) -> list[Move]:
-    """What was found, each with a rival in its place: what has come in since may tell the two apart."""
+    """Moves that put a rival in the place of what was found: what has come in since may tell the two apart."""
     moves = []
     for known, rival in pairs:
         rest = with_effects(fit, others(fit, known))
@@ -151,7 +151,7 @@ def moving_moves(fit: Fit, fixed: Collection[Place], kinds: dict[str, type[Effec
 
 
 def simplest(moves: Sequence[Move]) -> Move:
-    """Of the moves that no block tells from the best one, that of the fewest values; of as many, what lasts."""
+    """Move of the fewest values among those that no block tells from the best one; of as many, what lasts."""
     best = max(moves, key=lambda move: move.net)
     alike = [move for move in moves if len(move.added) == 1 == len(best.added)
              and (move is best or _alike(move, best))]
@@ -161,12 +161,12 @@ def simplest(moves: Sequence[Move]) -> Move:
 
 
 def _alike(one: Move, other: Move) -> bool:
-    """Whether no block tells them apart, nor rounding: an offset from a time on is one until then."""
+    """Return whether no block tells them apart, nor rounding: an offset from a time on is one until then."""
     difference = gain(one.after, other.after)
     return difference.total < max(difference.error, one.after.config.settled_gain)
 
 
 def values_of(effect: Effect, fit: Fit) -> int:
-    """How many values an effect has: coefficients, calibrations and those that a search chose."""
+    """Number of values of an effect: coefficients, calibrations and those that a search chose."""
     return (len(effect.coefficients(fit.body)) + len(effect.searched) + len(effect.calibrations)
             + len(effect.span.values))

@@ -1,4 +1,4 @@
-"""What is known of effects beforehand: the values that they can have, as positive masses and forces
+"""Prior knowledge of effects: the values that they can have, as positive masses and forces
 that this robot could bear, and what each costs, minus the log of its prior probability."""
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from semiparam_ros.effects.base import ALWAYS
 
 
 def all_plausible(before: Fit, after: Fit) -> bool:
-    """Whether no effect has impossible values in the second model that had none in the first."""
+    """Return whether no effect has impossible values in the second model that had none in the first."""
     wrong = {identity(effect) for index, effect in enumerate(before.effects)
              if not plausible(before, index)}
     return all(plausible(after, index) or identity(effect) in wrong
@@ -41,7 +41,7 @@ def without_impossible(fit: Fit, declared: Collection[Place]) -> Fit:
 
 
 def plausible(fit: Fit, index: int) -> bool:
-    """Whether the effect with this number has values that its cause can have on this robot."""
+    """Return whether the effect with this number has values that its cause can have on this robot."""
     effect = fit.effects[index]
     block = fit.assembly.blocks[str(index)]
     theta = fit.theta[block]
@@ -55,14 +55,14 @@ def plausible(fit: Fit, index: int) -> bool:
 
 
 def _weighs(fit: Fit, theta: Array, covariance: Array) -> bool:
-    """Whether the mass and the first moments of a load are more than chance: what has none is no load, however much
-    inertia it seems to have."""
+    """Return whether the mass and the first moments of a load are more than chance: what has none is no load,
+    however much inertia it seems to have."""
     distance = theta[:4] @ np.linalg.lstsq(covariance[:4, :4], theta[:4], rcond=1e-12)[0]
     return float(distance) > fit.config.weight_shows
 
 
 def _is_a_body(fit: Fit, theta: Array, covariance: Array) -> bool:
-    """Whether ten inertial parameters are, within their uncertainty, those of a body: its pseudo-inertia has no
+    """Return whether ten inertial parameters are, within their uncertainty, those of a body: its pseudo-inertia has no
     negative eigenvalue (Wensing, Kim and Slotine 2018)."""
     values, vectors = np.linalg.eigh(pseudo_inertia(theta))
     slopes = np.einsum('ik,pij,jk->kp', vectors, OF_PSEUDO_INERTIA, vectors)  # of each eigenvalue
@@ -103,6 +103,6 @@ def prices(added: Sequence[Effect], fit: Fit, kinds: Collection[str]) -> float:
 
 
 def usual(effect: Effect, fit: Fit) -> bool:
-    """Whether the model holds a kind of a group at half of its other places or more."""
+    """Return whether the model holds a kind of a group at half of its other places or more."""
     others = sum(known.kind == effect.kind for known in fit.effects if known is not effect)
     return bool(effect.group) and 2 * others >= max(len(effect.places(fit.body)) - 1, 1)

@@ -101,7 +101,7 @@ def gauss_newton(fit: Fit, moving: Sequence[Effect], found: Collection[int] = ()
 
 
 def _possible(fit: Fit, found: Collection[int]) -> bool:
-    """Whether the effects with these numbers can have the values that they have."""
+    """Return whether the effects with these numbers can have the values that they have."""
     blocks = fit.assembly.blocks
     return all(fit.effects[number].possible and fit.effects[number].physical(fit.theta[blocks[str(number)]])
                for number in found if not fit.effects[number].is_calibration)
@@ -197,7 +197,7 @@ def following(effects: Sequence[Effect], before: Sequence[Effect]) -> list[Effec
 
 
 def told_by_sliding(fit: Fit, effect: Effect) -> bool:
-    """Whether a calibration is told by joints that slide, for at a turn it looks like another form of
+    """Return whether a calibration is told by joints that slide, for at a turn it looks like another form of
     friction."""
     return effect.moves_friction and fit.body.outputs == 'effort'
 

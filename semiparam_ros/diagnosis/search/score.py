@@ -46,7 +46,7 @@ class Gain(NamedTuple):
     error: float
 
     def exceeds(self, price: float, errors: float) -> bool:
-        """Whether it is more than a price [nat], and than so many of its standard errors."""
+        """Return whether it is more than a price [nat], and than so many of its standard errors."""
         return self.total > max(price, errors * self.error)
 
 
@@ -111,7 +111,7 @@ def _log_evidence(normal: Array, right: Array) -> Array:
 
 
 def block_grams(fit: Fit) -> BlockGrams:
-    """Those of a fitted model."""
+    """Block grams of a fitted model."""
     further, spread, values = _open_columns(fit)
     target, edges, blocks = fit.at_prior + further @ values, block_edges(fit), fit.config.blocks
     channels, power, counts = [], np.zeros((blocks, len(fit.scale))), np.zeros((blocks, len(fit.scale)))
@@ -149,7 +149,7 @@ def block_edges(fit: Fit) -> Array:
 
 
 def gain(before: Fit, after: Fit, times_s: Collection[float] = ()) -> Gain:
-    """Of the second model over the first, with as many independent samples as the second one's residual leaves.
+    """Gain of the second model over the first, with as many independent samples as the second one's residual leaves.
 
     :param times_s: [s] when something begins or ends that one of them has and the other lacks. A search for a time fits
         a block, and so the best block tells the time and nothing else: it does not count.
@@ -213,7 +213,7 @@ def summed(gains: Array) -> Gain:
 
 
 def worth(fit: Fit) -> list[Gain]:
-    """Of each effect of the model: what it gains over the model without it, nothing else searched anew."""
+    """Gain of each effect of the model over the model without it, nothing else searched anew."""
     gains = _worth(fit)
     told = [told_by_sliding(fit, effect) for effect in fit.effects]
     sliding = _worth(fit.sliding) if any(told) else gains
@@ -232,7 +232,7 @@ def _worth(fit: Fit) -> list[Gain]:
 
 
 def columns_of_effects(fit: Fit) -> list[Indices]:
-    """Of each effect its columns' numbers in the block grams; a calibration's come last."""
+    """Numbers of each effect's columns in the block grams; a calibration's come last."""
     found, end = [], fit.n_columns
     point = end + sum(len(effect.calibrations) for effect in fit.effects)
     points = [shape.number for shape in points_of(fit)]

@@ -1,4 +1,4 @@
-"""How well each candidate explains the residual: coarse search, refinement, and a score that fears flexibility.
+"""Score of each candidate, by the residual it explains: coarse search, refinement, and a score that fears flexibility.
 
 The score is a Schwarz (BIC) approximation of the log evidence with each channel's noise profiled out, and with as many
 independent samples as the residual's autocorrelation leaves: a likelihood that takes samples for independent prefers
@@ -50,7 +50,7 @@ class Trial:
 
     @property
     def many_valued(self) -> bool:
-        """Whether the best value of one nonlinear parameter depends on another; a coarse search tries few."""
+        """Return whether the best value of one nonlinear parameter depends on another; a coarse search tries few."""
         return len(self.effect.searched) > 1
 
 
@@ -236,8 +236,8 @@ def refine_foremost(fit: Fit, trials: list[Trial]) -> list[Trial]:
 
 
 def worth_refining(fit: Fit, trials: list[Trial]) -> list[Trial]:
-    """Those worth refining: the best, calibrations, which are linear only while small, and the best of each kind with
-    many values, of which a coarse search tries few."""
+    """Candidates worth refining: the best, calibrations, which are linear only while small, and the best of each
+    kind with many values, of which a coarse search tries few."""
     config, kept = fit.config, list[Trial]()
     for trial in trials:
         same = sum(other.many_valued and other.effect.kind == trial.effect.kind for other in kept)

@@ -148,7 +148,7 @@ def _made(fit: Fit, best: Move, moves: Sequence[Move], ranking: Sequence[Trial],
 
 
 def _rivals(fit: Fit, chosen: Move, moves: Sequence[Move]) -> tuple[Rival, ...]:
-    """Those as good as the chosen move, with odds from a bootstrap of the blocks; of one cause at several times the
+    """Rivals as good as the chosen move, with odds from a bootstrap of the blocks; of one cause at several times the
     likeliest."""
     generator, draws = np.random.default_rng(0), fit.config.bootstrap_draws
     found: dict[tuple[str, str | None], Rival] = {}

@@ -5,7 +5,7 @@ signal over a fraction of a second is compared with the integral of its declared
 signs, order and clock are right. Measured: 0.92 to 0.97 on a real iCub (its velocities lag), 1.00 on a UR3, 1.02 on a
 Franka arm.
 
-Orders, directions and axes: what would the recording say if it had been labelled otherwise? The likeliest alternative
+Orders, directions and axes: what would the recording say if it had been labelled otherwise? The likeliest remedy
 is reported if the evidence of ``prior_misfit`` is far larger with it than as declared.
 """
 
@@ -67,7 +67,7 @@ class SetupProblem(NamedTuple):
 def setup_problems(body: RigidBody, samples: Samples, config: DiagnosisConfig = DEFAULTS,
                    touched: Sequence[tuple[float, float]] = (),
                    effects: Sequence[Effect] = ()) -> list[SetupProblem]:
-    """What is wrong with the recording or with its declaration, each with its remedy; empty when all is well.
+    """Faults of the recording or of its declaration, each with its remedy; empty when all is well.
 
     :param samples: as recorded; ``config.setup_samples`` of them, spread over the recording, are looked at.
     :param touched: [s] between which the robot is known to have been touched: outputs then tell nothing.
@@ -226,7 +226,7 @@ class Belonging(NamedTuple):
 
 def _put_right(body: RigidBody, usable: Mask, right: Samples, belongings: Iterable[Belonging],
                config: DiagnosisConfig) -> tuple[list[SetupProblem], Samples]:
-    """Whether the velocities are wrong, or the positions, by which of them makes the outputs likelier."""
+    """Return whether the velocities are wrong, or the positions, by which of them makes the outputs likelier."""
     problems = []
     for order, signs, said in belongings:
         back = np.argsort(order)
@@ -315,7 +315,7 @@ def _ratio(changes: Array, integrals: Array, config: DiagnosisConfig) -> float:
 
 
 def _agrees(ratio: float, known: float, config: DiagnosisConfig) -> bool:
-    """Whether a ratio is the known one, sign included."""
+    """Return whether a ratio is the known one, sign included."""
     return 1.0 / config.ratio_tolerance < ratio / known < config.ratio_tolerance
 
 
@@ -355,7 +355,7 @@ def _clock(samples: Samples, ratios: list[float], config: DiagnosisConfig) -> li
 
 def _velocity(name: str, ratio: float, slides: bool,
               config: DiagnosisConfig) -> tuple[SetupProblem, str, float] | None:
-    """What a joint's ratio says, and which role times which factor puts it right; what slides is in no degrees."""
+    """Problem that a joint's ratio shows, and the role and factor that put it right; what slides is in no degrees."""
     if math.isnan(ratio) or _agrees(ratio, 1.0, config) or _agrees(ratio, -1.0, config):
         return None
     for known, (role, unit, factor) in {} if slides else MOTION_UNITS.items():
@@ -394,7 +394,7 @@ def layout_problems(body: RigidBody, samples: Samples, config: DiagnosisConfig) 
     """Everything that other labels of the samples would correct, the plainest first."""
     found, samples = unit_problems(body, samples, config)
     for _ in range(config.most_relabellings):
-        best = _best_alternative(body, samples, config)
+        best = _best_remedy(body, samples, config)
         if best is None or best.problem in found:
             break
         found.append(best.problem)
@@ -419,7 +419,7 @@ def _no_match(body: RigidBody, left: float) -> SetupProblem:
         f'joints{there}, and that the outputs are not compensated for gravity.'))
 
 
-class Alternative(NamedTuple):
+class Remedy(NamedTuple):
     """The samples as they would be, and what to say if that is how they are; the body where it is another one."""
 
     samples: Samples
@@ -427,26 +427,26 @@ class Alternative(NamedTuple):
     body: RigidBody | None = None
 
 
-def _best_alternative(body: RigidBody, samples: Samples, config: DiagnosisConfig) -> Alternative | None:
-    """The likeliest alternative, where the recording is far likelier with it than as declared. Odds are against a kind
+def _best_remedy(body: RigidBody, samples: Samples, config: DiagnosisConfig) -> Remedy | None:
+    """The likeliest remedy, where the recording is far likelier with it than as declared. Odds are against a kind
     of mistake, so against each of its places as many times more.
     """
     equal = equations(body, samples, config)
-    alternatives = list(_alternatives(body, samples, config))
+    remedies = list(_remedies(body, samples, config))
 
-    def of(alternative: Alternative) -> tuple[Equations, Array]:
-        same = alternative.samples.position is samples.position and alternative.body is None
-        return (equal if same else equations(alternative.body or body, alternative.samples, config),
-                alternative.samples.outputs)
+    def of(remedy: Remedy) -> tuple[Equations, Array]:
+        same = remedy.samples.position is samples.position and remedy.body is None
+        return (equal if same else equations(remedy.body or body, remedy.samples, config),
+                remedy.samples.outputs)
 
-    best = max(alternatives, key=lambda alternative: evidence(*of(alternative)).log)
+    best = max(remedies, key=lambda remedy: evidence(*of(remedy)).log)
     share = independent(*of(best), evidence(*of(best)).change)
     gain = evidence(*of(best), share).log - evidence(equal, samples.outputs, share).log
-    places = sum(alternative.problem.what == best.problem.what for alternative in alternatives)
+    places = sum(remedy.problem.what == best.problem.what for remedy in remedies)
     return best if gain > math.log(config.odds * places) else None
 
 
-def _alternatives(body: RigidBody, samples: Samples, config: DiagnosisConfig) -> Iterator[Alternative]:
+def _remedies(body: RigidBody, samples: Samples, config: DiagnosisConfig) -> Iterator[Remedy]:
     yield from _other_signs(body, samples)
     if body.outputs == 'wrench':
         yield from _other_axes(body, samples)
@@ -457,7 +457,7 @@ def _alternatives(body: RigidBody, samples: Samples, config: DiagnosisConfig) ->
     yield from _other_units(body, samples)
 
 
-def _other_units(body: RigidBody, samples: Samples) -> Iterator[Alternative]:
+def _other_units(body: RigidBody, samples: Samples) -> Iterator[Remedy]:
     """The joints that turn in degrees, and those that slide in millimetres: none slides in degrees."""
     slides = np.array([name in body.prismatic for name in body.joints])
     both = slides.any() and not slides.all()
@@ -466,11 +466,11 @@ def _other_units(body: RigidBody, samples: Samples) -> Iterator[Alternative]:
                                               (slides, 1e-3, 'millimetres', 'm and m/s', 'slide')):
         if chosen.any():
             whose = f' of the joints that {move}' if both else ''
-            yield Alternative(relabelled(samples, MOTION, factors=np.where(chosen, factor, 1.0)), SetupProblem(
+            yield Remedy(relabelled(samples, MOTION, factors=np.where(chosen, factor, 1.0)), SetupProblem(
                 'position_units', None, f'Positions and velocities{whose} are in {unit}: publish them in {right}.'))
 
 
-def _other_signs(body: RigidBody, samples: Samples) -> Iterator[Alternative]:
+def _other_signs(body: RigidBody, samples: Samples) -> Iterator[Remedy]:
     """All outputs negated, then each of them."""
     wrench = body.outputs == 'wrench'
     what = 'wrench_sign' if wrench else 'effort_sign'
@@ -478,16 +478,16 @@ def _other_signs(body: RigidBody, samples: Samples) -> Iterator[Alternative]:
                 f'wrench_convention to {"action" if body.sign < 0 else "reaction"}.') if wrench else (
         'The efforts have the opposite sign of what the robot description predicts: negate them (semiparam convert '
         '--effort-sign -1).')
-    yield Alternative(relabelled(samples, ('outputs',), factors=-1.0), SetupProblem(what, body.sensor_frame, sentence))
+    yield Remedy(relabelled(samples, ('outputs',), factors=-1.0), SetupProblem(what, body.sensor_frame, sentence))
     for channel, name in enumerate(body.output_names):
         said = f"The channel {name} of '{body.sensor_frame}'" if wrench else f"The effort of '{name}'"
         where = "the sensor's driver or calibration" if wrench else 'the driver'
         negated = relabelled(samples, ('outputs',), factors=_factors(body.n_outputs, channel))
-        yield Alternative(negated, SetupProblem(what, name, (
+        yield Remedy(negated, SetupProblem(what, name, (
             f'{said} fits the robot description far better with the opposite sign: negate it in {where}.')))
 
 
-def _other_axes(body: RigidBody, samples: Samples) -> Iterator[Alternative]:
+def _other_axes(body: RigidBody, samples: Samples) -> Iterator[Remedy]:
     """Signed permutations of the sensor's axes, force and torque exchanged."""
     frame = body.sensor_frame
     force, torque = samples.outputs[:, :3], samples.outputs[:, 3:]
@@ -496,11 +496,11 @@ def _other_axes(body: RigidBody, samples: Samples) -> Iterator[Alternative]:
             continue  # as declared, or the wrench's sign
         outputs = np.hstack([force[:, order] * signs, torque[:, order] * signs])
         names = ', '.join(('-' if sign < 0 else '') + 'xyz'[axis] for axis, sign in zip(order, signs, strict=True))
-        yield Alternative(replace(samples, outputs=outputs), SetupProblem('wrench_axes', frame, (
+        yield Remedy(replace(samples, outputs=outputs), SetupProblem('wrench_axes', frame, (
             f"The wrench fits the robot description far better when the sensor's axes ({names}) are taken for x, y, z "
             f"of '{frame}': turn that frame in the robot description, or set sensor_frame to one that has the "
             f"sensor's axes.{_mirrored(order, signs)}")))
-    yield Alternative(replace(samples, outputs=np.hstack([torque, force])), SetupProblem('force_torque', frame, (
+    yield Remedy(replace(samples, outputs=np.hstack([torque, force])), SetupProblem('force_torque', frame, (
         f"The wrench of '{frame}' fits far better with force and torque exchanged: the driver (or the columns of the "
         'text table) gives them in the wrong order.')))
 
@@ -512,7 +512,7 @@ def _mirrored(order: tuple[int, ...], signs: tuple[float, ...]) -> str:
         if hand < 0.0 else ''
 
 
-def _other_mountings(body: RigidBody, samples: Samples, config: DiagnosisConfig) -> Iterator[Alternative]:
+def _other_mountings(body: RigidBody, samples: Samples, config: DiagnosisConfig) -> Iterator[Remedy]:
     """Gravity along each other axis of the base."""
     present = np.array(body.arm.gravity.linear)
     strength = float(np.linalg.norm(present))
@@ -521,25 +521,25 @@ def _other_mountings(body: RigidBody, samples: Samples, config: DiagnosisConfig)
         if cosine < config.same_gravity_cosine:
             how = 'upside down' if cosine < -config.same_gravity_cosine else \
                 f'on its side, with gravity along its {"-" if sign < 0 else ""}{name} axis'
-            yield Alternative(samples, SetupProblem('base_mounting', None, (
+            yield Remedy(samples, SetupProblem('base_mounting', None, (
                 f'The recording fits the robot description far better when the base is mounted {how}: turn the first '
                 'link in the robot description as the robot is mounted.')),
                 body.with_gravity(sign * strength * np.eye(3)[axis]))
 
 
-def _other_directions(body: RigidBody, samples: Samples) -> Iterator[Alternative]:
+def _other_directions(body: RigidBody, samples: Samples) -> Iterator[Remedy]:
     for joint, name in enumerate(body.joints):
         mirrored = relabelled(samples, MOTION, factors=_factors(body.n_joints, joint))
         if name in body.output_names:
             mirrored = relabelled(mirrored, ('outputs',), factors=_factors(
                 body.n_outputs, body.output_names.index(name)))
         moves = 'slides' if name in body.prismatic else 'turns'
-        yield Alternative(mirrored, SetupProblem('joint_direction', name, (
+        yield Remedy(mirrored, SetupProblem('joint_direction', name, (
             f"The recording fits the robot description far better when '{name}' {moves} the other way: negate its "
             'position, velocity (and effort) in the driver, or its axis in the robot description.')))
 
 
-def _other_orders(body: RigidBody, samples: Samples) -> Iterator[Alternative]:
+def _other_orders(body: RigidBody, samples: Samples) -> Iterator[Remedy]:
     for one, other in combinations(range(body.n_joints), 2):
         order = _exchange(body.n_joints, one, other)
         swapped = relabelled(samples, MOTION, order)
@@ -548,13 +548,13 @@ def _other_orders(body: RigidBody, samples: Samples) -> Iterator[Alternative]:
                 continue  # the effort of one of them is not known
             channels = np.searchsorted(body.output_index, order[body.output_index])
             swapped = relabelled(swapped, ('outputs',), channels)
-        yield Alternative(swapped, SetupProblem('joint_order', body.joints[one], (
+        yield Remedy(swapped, SetupProblem('joint_order', body.joints[one], (
             f"The recording fits the robot description far better with '{body.joints[one]}' and "
             f"'{body.joints[other]}' exchanged: correct the names in the joint states (for a bag: semiparam convert "
             '--joint NAME=NEW) or the parameter joints.')))
 
 
-def _exchanged_outputs(body: RigidBody, samples: Samples) -> Iterator[Alternative]:
+def _exchanged_outputs(body: RigidBody, samples: Samples) -> Iterator[Remedy]:
     """Any two efforts, or channels of the wrench, in each other's place."""
     wrench = body.outputs == 'wrench'
     for one, other in combinations(range(body.n_outputs), 2):
@@ -562,7 +562,7 @@ def _exchanged_outputs(body: RigidBody, samples: Samples) -> Iterator[Alternativ
         what = f"The channels {first} and {second} of '{body.sensor_frame}' are" if wrench else \
             f"The efforts of '{first}' and '{second}' are"
         where = "the sensor's driver (or in the columns of the text table)" if wrench else 'the driver'
-        yield Alternative(relabelled(samples, ('outputs',), _exchange(body.n_outputs, one, other)), SetupProblem(
+        yield Remedy(relabelled(samples, ('outputs',), _exchange(body.n_outputs, one, other)), SetupProblem(
             'wrench_order' if wrench else 'effort_order', first, (
                 f"{what} swapped: the recording fits the robot description far better with them in each other's place; "
                 f'correct their order in {where}.')))

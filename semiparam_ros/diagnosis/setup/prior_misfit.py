@@ -54,7 +54,7 @@ class Equations:
 
 
 def equations(body: RigidBody, samples: Samples, config: DiagnosisConfig) -> Equations:
-    """What the inputs of ``samples`` predict."""
+    """Equations by which the inputs of ``samples`` predict."""
     own, free = body.n_parameters, nuisances(body, samples, config)
     columns = np.concatenate([body.regressors(samples), free], axis=2)
     mean, precision = np.zeros(columns.shape[2]), np.zeros((columns.shape[2],) * 2)
@@ -76,7 +76,7 @@ class MisfitEvidence(NamedTuple):
 
 
 def evidence(equal: Equations, outputs: Array, share: float = 1.0) -> MisfitEvidence:
-    """Of outputs (N, n) when ``share`` of the samples count; -inf where no inertias can be estimated."""
+    """Log evidence of outputs (N, n) when ``share`` of the samples count; -inf where no inertias can be estimated."""
     deviation, telling = channel_scale(outputs, not len(equal.power)), np.ptp(outputs, axis=0) > 0.0
     size, count = equal.size, len(outputs)
     precision = equal.precision + np.diag(_nuisance_precision(equal, size, deviation))

@@ -225,7 +225,7 @@ class InputReport:
         return Report(OK, f'{"; ".join(told)}.', values)
 
     def _refusals(self, news: Counter[str]) -> str:
-        """What was refused since the last report: the last sentence of each reason."""
+        """Refusals since the last report: the last sentence of each reason."""
         stream = self._inputs.stream
         sentences = {**(stream.sentences if stream else {}), **self._rejections.sentences}
         told = [(f'{count} {reason}: ' if len(news) > 1 else '') + sentences[reason]

@@ -225,8 +225,8 @@ class EstimatorNode(AnsweringNode, LearnerListener):
     # Parameters
 
     def set_parameters_atomically(self, parameter_list: list[Parameter]) -> SetParametersResult:
-        """As every node does, but a refusal names the nearest parameter, success tells what happens now, and whatever
-        goes wrong is an answer too."""
+        """Set them as every node does, but a refusal names the nearest parameter, success tells what happens now,
+        and whatever goes wrong is an answer too."""
         try:
             result = self._set_together(parameter_list)
         except Exception as error:

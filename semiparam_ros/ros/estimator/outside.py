@@ -71,7 +71,7 @@ class Outside:
         return self._external.of(answer.prediction, answer.residual, learner.gate.widening, answer.followed)
 
     def _frame_name(self) -> str:
-        """As the sensor's driver calls it, where it is told there."""
+        """Name that the sensor's driver gives it, where it is told there."""
         assert self._external is not None
         at_sensor = not self._of_frame and self._compensated is not None
         return self._frame_id() if at_sensor else self._external.frame

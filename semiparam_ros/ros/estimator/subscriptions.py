@@ -283,7 +283,7 @@ class InputStream:
         return shared
 
     def _unheard_offers(self) -> Iterator[tuple[str, list[bool]]]:
-        """Whether each publisher offers best_effort, of topics that may be asked anew."""
+        """Return whether each publisher offers best_effort, of topics that may be asked anew."""
         if self._settings.reliability != 'auto':
             return
         for topic in self.topics:

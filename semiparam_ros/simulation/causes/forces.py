@@ -109,7 +109,7 @@ class HiddenPeriodicDisturbance(FrameForce):
 
 @dataclass(frozen=True)
 class JointDisturbance(JointTorque):
-    """The same in one drive: a torque at one frequency."""
+    """Disturbance of one drive: a torque at one frequency."""
 
     kind = HiddenPeriodicDisturbance.kind
     frequency: float
