@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
+
+import numpy as np
 
 from semiparam_ros.diagnosis.regression import Fit, with_effects
-from semiparam_ros.diagnosis.search.candidates import Place, held, identity, others
+from semiparam_ros.diagnosis.search.candidates import Place, added_columns, held, identity, others
 from semiparam_ros.diagnosis.search.plausibility import all_plausible, price, prices, usual
 from semiparam_ros.diagnosis.search.refit import declare, remaining, settled
 from semiparam_ros.diagnosis.search.score import Gain, gain, worth
 from semiparam_ros.diagnosis.search.scoring import coarse_trial, line_searched
+from semiparam_ros.effects import Effect
+from semiparam_ros.effects.base import Values
 
 
 def bent(fit: Fit, places: Collection[Place], kinds: Collection[str]) -> Fit:
@@ -48,8 +52,37 @@ def _opened(fit: Fit, numbers: Collection[int]) -> Fit:
 
 
 def reshaped(fit: Fit, fixed: Collection[Place], kinds: Collection[str]) -> Fit:
-    """:func:`bent` of all effects that were found."""
-    return bent(fit, {identity(effect) for effect in fit.effects}.difference(fixed), kinds)
+    """:func:`bent` of all effects that were found, with forms that are told by no block as those of other places."""
+    return with_common_forms(bent(fit, {identity(effect) for effect in fit.effects}.difference(fixed), kinds), fixed)
+
+
+def with_common_forms(fit: Fit, fixed: Collection[Place]) -> Fit:
+    """The model with one form for all places of a kind, but where the blocks of a place tell another one.
+
+    A joint that was always fast tells nothing of how its friction turns over. Its own form would be chance, and wrong
+    wherever the joint is slow.
+    """
+    found = [effect for effect in fit.effects if effect.group and effect.searched and not effect.span.values
+             and identity(effect) not in fixed]
+    for kind in dict.fromkeys(type(effect) for effect in found):
+        alike = [effect for effect in found if type(effect) is kind]
+        if len(alike) < 2:
+            continue
+        forms = [kind.searches(fit.body, fit.samples, effect.where, fit.residual) for effect in alike]
+        common = int(np.sum([_losses(fit, effect, tried) for effect, tried in zip(alike, forms, strict=True)],
+                            axis=0).argmin())
+        for effect, tried in zip(alike, forms, strict=True):
+            other = kind.from_values(effect.where, tried[common])
+            after = with_effects(fit, [other if known is effect else known for known in fit.effects])
+            if gain(after, fit).total < math.log(len(tried)):
+                fit = after
+    return fit
+
+
+def _losses(fit: Fit, effect: Effect, forms: Sequence[Values]) -> list[float]:
+    """Losses (f,) of the model with the effect in each of some forms."""
+    rest = with_effects(fit, others(fit, effect))
+    return [rest.explain(added_columns(rest, type(effect).from_values(effect.where, values))).loss for values in forms]
 
 
 def formed_anew(fit: Fit, fixed: Collection[Place]) -> Fit:
