@@ -11,7 +11,7 @@ from semiparam_ros.diagnosis.preparation import averaged
 from semiparam_ros.diagnosis.residual.contacts import contacts
 from semiparam_ros.diagnosis.search.plausibility import without_impossible
 from semiparam_ros.diagnosis.search.refit import declare, gauss_newton, settled
-from semiparam_ros.diagnosis.search.revision import bent, pruned, reshaped
+from semiparam_ros.diagnosis.search.revision import bent, pruned, with_common_forms
 from semiparam_ros.diagnosis.search.score import gain, worth
 from semiparam_ros.diagnosis.search.stepwise import starting_fit
 from semiparam_ros.effects import kinds
@@ -93,13 +93,13 @@ def test_friction_with_its_shape_anew_holds_no_impossible_value():
 
 
 def test_friction_turns_over_as_that_of_the_others_where_no_block_tells_how():
-    """A wrist that was never slow where the model was fitted had a form by chance, and nine times the error elsewhere."""
+    """A wrist that was never slow where the model was fitted had a form by chance, and nine times the error."""
     samples = rubbing()
     fast = np.abs(samples.velocity[:, 1]) > 0.3 * np.abs(samples.velocity[:, 1]).max()
-    start = declare(starting_fit(BODY, samples, [], fast), [
-        CoulombFriction(joint, {'presliding': 0.1} if joint == 'turn' else {'turn_speed': TURN}) for joint in BODY.joints])
+    forms = {joint: {'turn_speed': TURN} for joint in BODY.joints} | {'turn': {'presliding': 0.1}}
+    start = declare(starting_fit(BODY, samples, [], fast), [CoulombFriction(*form) for form in forms.items()])
     error, chance = (np.mean((fit.residual[~fast, 1] / samples.outputs[:, 1].std())**2)
-                     for fit in (reshaped(start, (), KINDS), bent(start, FRICTION, KINDS)))
+                     for fit in (with_common_forms(with_leads(start), ()), with_leads(start)))
     assert error < 0.01 < chance
 
 
@@ -107,7 +107,7 @@ def test_friction_of_another_form_stays_where_blocks_tell_it():
     samples = rubbing()
     own = 3.0 * (np.tanh(samples.velocity[:, 1] / (20.0 * TURN)) - np.tanh(samples.velocity[:, 1] / TURN))
     start = fitted(replace(samples, outputs=samples.outputs + np.outer(own, np.arange(4) == 1)))
-    shapes = {effect.where: effect.value('turn_speed') for effect in reshaped(start, (), KINDS).effects}
+    shapes = {effect.where: effect.value('turn_speed') for effect in with_common_forms(with_leads(start), ()).effects}
     assert shapes.pop('turn') == pytest.approx(20.0 * TURN, rel=0.05)
     assert list(shapes.values()) == pytest.approx([TURN] * 3, rel=0.1)
 

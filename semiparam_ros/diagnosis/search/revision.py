@@ -52,8 +52,8 @@ def _opened(fit: Fit, numbers: Collection[int]) -> Fit:
 
 
 def reshaped(fit: Fit, fixed: Collection[Place], kinds: Collection[str]) -> Fit:
-    """:func:`bent` of all effects that were found, with forms that are told by no block as those of other places."""
-    return with_common_forms(bent(fit, {identity(effect) for effect in fit.effects}.difference(fixed), kinds), fixed)
+    """:func:`bent` of all effects that were found."""
+    return bent(fit, {identity(effect) for effect in fit.effects}.difference(fixed), kinds)
 
 
 def with_common_forms(fit: Fit, fixed: Collection[Place]) -> Fit:
@@ -66,15 +66,15 @@ def with_common_forms(fit: Fit, fixed: Collection[Place]) -> Fit:
              and identity(effect) not in fixed]
     for kind in dict.fromkeys(type(effect) for effect in found):
         alike = [effect for effect in found if type(effect) is kind]
-        if len(alike) < 2:
-            continue
         forms = [kind.searches(fit.body, fit.samples, effect.where, fit.residual) for effect in alike]
+        if len(alike) < 2 or len({len(tried) for tried in forms}) > 1:
+            continue
         common = int(np.sum([_losses(fit, effect, tried) for effect, tried in zip(alike, forms, strict=True)],
                             axis=0).argmin())
         for effect, tried in zip(alike, forms, strict=True):
-            other = kind.from_values(effect.where, tried[common])
+            other = kind.from_values(effect.where, tried[common], effect.reference)
             after = with_effects(fit, [other if known is effect else known for known in fit.effects])
-            if gain(after, fit).total < math.log(len(tried)):
+            if other != effect and gain(after, fit).total < math.log(len(tried)):
                 fit = after
     return fit
 
@@ -82,7 +82,8 @@ def with_common_forms(fit: Fit, fixed: Collection[Place]) -> Fit:
 def _losses(fit: Fit, effect: Effect, forms: Sequence[Values]) -> list[float]:
     """Losses (f,) of the model with the effect in each of some forms."""
     rest = with_effects(fit, others(fit, effect))
-    return [rest.explain(added_columns(rest, type(effect).from_values(effect.where, values))).loss for values in forms]
+    formed = (type(effect).from_values(effect.where, values, effect.reference) for values in forms)
+    return [rest.explain(added_columns(rest, other)).loss for other in formed]
 
 
 def formed_anew(fit: Fit, fixed: Collection[Place]) -> Fit:

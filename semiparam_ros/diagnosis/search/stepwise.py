@@ -26,7 +26,7 @@ from semiparam_ros.diagnosis.search.moves import (
     single_moves,
     swapping_moves,
 )
-from semiparam_ros.diagnosis.search.revision import bent, pruned, reshaped, split
+from semiparam_ros.diagnosis.search.revision import bent, pruned, reshaped, split, with_common_forms
 from semiparam_ros.diagnosis.search.score import block_gains, gain
 from semiparam_ros.diagnosis.search.scoring import Progress, Trial, coarse, overlap, refine_foremost
 from semiparam_ros.effects import Effect
@@ -89,7 +89,7 @@ def search(fit: Fit, kinds: dict[str, type[Effect]], progress: Progress = lambda
         steps.append(replace(step, ranking=tuple(replace(trial, residual=None) for trial in step.ranking)))
         if hopeless(fit):
             break
-    return steps
+    return [*steps[:-1], *(replace(step, after=with_common_forms(fit, fixed)) for step in steps[-1:])]
 
 
 def _rivalries(fit: Fit, steps: Sequence[Step]) -> list[tuple[Effect, Effect]]:
