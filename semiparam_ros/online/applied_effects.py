@@ -90,8 +90,8 @@ class KnownEffect:
     """g [nat]"""
     since: int = 0
     """[ns] when the first block began that spoke for it."""
-    begun: int = 0
-    """[ns] when it was applied; 0 where that was long ago, or before a jump of the clock."""
+    begun: int | None = None
+    """[ns] when it was applied; None where that was long ago, or before a jump of the clock."""
     tried_s: float = 0.0
     reference: Array | None = None
     """(p,) coefficients of the model from before it was applied."""
@@ -201,7 +201,7 @@ class AppliedEffects:
         self.assume(None)
         self.contributions = [Contribution(each.effect, each.coefficients, each.shaping) for each in self.applied]
         for trial in self.trials:
-            trial.score, trial.begun, trial.acting = 0.0, 0, trial.applied
+            trial.score, trial.begun, trial.acting = 0.0, None, trial.applied
             trial.otherwise.clear()
 
     def taken_off(self, sample: Sample) -> tuple[Sample, Array | None]:
@@ -364,7 +364,8 @@ class AppliedEffects:
         else:
             trial.remembered, trial.squares = True, np.zeros((2, 1))
             trial.taken_back = 1 + max(other.taken_back for other in self.trials)
-            if now - trial.begun < CONTACT_S * NANOSECONDS and not trial.effect.is_load:
+            brief = trial.begun is not None and now - trial.begun < CONTACT_S * NANOSECONDS
+            if brief and not trial.effect.is_load:
                 self._keep(other for other in self.trials if other is not trial)
         for other in self.trials:
             other.score = 0.0

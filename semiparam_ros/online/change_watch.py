@@ -330,8 +330,10 @@ class ChangeWatch:
         """The largest number of a change that turned out to be a part of another one: no other one gets it."""
         self._inputs: Inputs | None = None
         """How the samples of this robot are best prepared, once that is known."""
-        self._now = self._anew_at = 0
-        """[ns] The newest sample, and when the model last returned, or began anew with the contact gate."""
+        self._now = 0
+        """[ns] The newest sample."""
+        self._anew_at: int | None = None
+        """[ns] When the model last returned, or began anew with the contact gate; None where the clock jumped since."""
         self._learnt = list[LearntChange]()
         """The latest, as many as the model knows what was before."""
         self._first: int | None = None
@@ -409,7 +411,7 @@ class ChangeWatch:
         """Go on with an estimator that has not learnt what the one before did; what was told stays."""
         self.reset()
         self.forget()
-        self._learnt, self._anew_at, self._held_s = [], 0, 0.0
+        self._learnt, self._held_s = [], 0.0
 
     def forget(self) -> None:
         """Another model predicts, of which nothing is known yet; what was told stays."""
@@ -422,7 +424,7 @@ class ChangeWatch:
     def reset(self) -> None:
         """Drop what is half seen, as after a jump of the clock: what came before is no longer there
         to name a change from."""
-        self.follows = None
+        self.follows = self._anew_at = None
         self.applied.reset()
         self._contacts.reset()
         self._due, self._past, self._first = [], max(self.records, default=0), None
@@ -445,7 +447,7 @@ class ChangeWatch:
             self._contacts.see(block, detector.touched, change is not None)
         if change is not None:
             new = change.ended is None and change.number not in self.records
-            learnt = change.since <= self._anew_at <= self._now
+            learnt = self._anew_at is not None and change.since <= self._anew_at <= self._now
             if new and not self.applies and not learnt:
                 self.follows = learning_after(change.kind)
             if new and learnt and self._learnt and self._learnt[-1].number is None:

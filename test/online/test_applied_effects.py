@@ -249,7 +249,7 @@ def test_an_offset_that_came_for_seconds_is_remembered_no_more_and_one_that_stay
 
     assert there(100, 103) == []
     assert there(100, 120) == [True]
-    assert there(100, 10, jump=True) == [True]
+    assert there(100, 10, jump=True) == there(100, 3, jump=True) == [True]
 
 
 def test_after_what_no_effect_explains_it_is_learnt_what_is_usual_and_told_what_comes_next():

@@ -130,6 +130,19 @@ def test_what_the_model_has_returned_from_is_not_followed_when_it_is_told(ago, f
     assert watch.follows == follows and list(watch.records) == [1]
 
 
+def test_what_the_model_has_returned_from_is_none_of_the_time_after_a_jump_of_the_clock(monkeypatch):
+    """A simulation that begins anew passes the same stamps again, and a load then was not followed."""
+    body, samples = free()
+    stage = offered(body, samples[samples.time < 50.0])
+    watch = stage.learner.changes
+    watch._anew_at = watch._now
+    stage.learner.clear_pending()
+    change = Change(1, watch._now - round(0.2e9), watch._now, 'payload', 'r_gripper', 0.2, 0.01, 20.0, ())
+    monkeypatch.setattr(ChangeDetector, 'see', lambda *_: change)
+    stage.offer(samples[(samples.time >= 50.0) & (samples.time < 50.05)])
+    assert watch.follows == Learning.AFTER_LOAD
+
+
 def test_what_the_gate_gave_way_to_is_followed_once_and_its_end_is_none_of_an_earlier_change(monkeypatch):
     """The model that was told of it a second time forgot what was known before, and could not return."""
     body, samples = free()
