@@ -88,7 +88,7 @@ class Ensemble:
             model_std = np.sqrt(pooled[3].diagonal())
         mean, std, model_mean, covariance = pooled
         motion, off = observed.motion, False
-        if self.first.ready and motion.still > 1:
+        if self.first.ready and motion.stays:
             expected = model_mean + (observed.measured - observed.sample.outputs)
             off = bool(np.abs(observed.measured).max() < OFF_SHARE * np.abs(expected).max())
             motion = motion._replace(is_news=motion.is_news and not off)

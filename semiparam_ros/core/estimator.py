@@ -20,7 +20,7 @@ from semiparam_ros.core.ensemble import Ensemble
 from semiparam_ros.core.finite import require_finite
 from semiparam_ros.core.horizon_error import HorizonErrors
 from semiparam_ros.core.hyperparameters.estimation import Hyperparameters
-from semiparam_ros.core.initial_window import InitialWindow, begins_step
+from semiparam_ros.core.initial_window import InitialWindow
 from semiparam_ros.core.input_range import beyond, widened
 from semiparam_ros.core.learnt_inputs import LearntInputs
 from semiparam_ros.core.model import (
@@ -32,7 +32,7 @@ from semiparam_ros.core.model import (
     provisional_model,
     without_features,
 )
-from semiparam_ros.core.motion import Motion, at_start
+from semiparam_ros.core.motion import Motion, at_start, begins_step
 from semiparam_ros.core.online_model import ModelState, OnlineModel
 from semiparam_ros.core.prediction import DesiredOutputs, Observed, Prediction
 from semiparam_ros.core.random_features import input_scaling

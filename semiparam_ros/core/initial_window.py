@@ -7,24 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from semiparam_ros.core.motion import Motion, at_start
+from semiparam_ros.core.motion import Motion, at_start, beginning_steps
 from semiparam_ros.core.samples import Sample, Samples
-from semiparam_ros.core.types import Array, Mask, Stamps
-
-STEP_NS = 4_000_000
-"""Of the samples of one step [ns] a window takes the first: those of faster robots are nearly alike, and a thousand of
-them would be a moment of one motion."""
-
-
-def begins_step(stamp: int, before: int | None) -> bool:
-    """Tell whether a sample is the first of its step, by its stamp and that of the sample before it [ns]."""
-    return before is None or stamp // STEP_NS != before // STEP_NS
-
-
-def beginning_steps(stamps: Stamps) -> Mask:
-    """(N,) the same of samples in order."""
-    steps = stamps // STEP_NS
-    return np.concatenate([np.ones(min(len(steps), 1), dtype=bool), np.diff(steps) != 0])
+from semiparam_ros.core.types import Array, Stamps
 
 
 class Remembered(NamedTuple):

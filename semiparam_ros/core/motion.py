@@ -10,7 +10,7 @@ import numpy as np
 from semiparam_ros.core.compiled import Vector, compiled
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.stamps import LONGEST_PAUSE_NS
-from semiparam_ros.core.types import Array, Mask
+from semiparam_ros.core.types import Array, Mask, Stamps
 
 STEP = 0.02
 """[rad, m] What a joint must leave its place by. Encoders jitter by less, where measured velocities at rest may reach
@@ -22,8 +22,22 @@ REST_NS = 10**9
 STILL = 0.001
 """[rad, m] Within this of each other two positions are the same place, unless the encoders jitter by more."""
 STEPPED = 2
-STILL_SAMPLES = 5
-"""So many samples of one place are news."""
+STEP_NS = 4_000_000
+"""Of the samples of one step [ns] a window takes the first: those of faster robots are nearly alike, and a thousand of
+them would be a moment of one motion."""
+STILL_STEPS = 5
+"""Samples of so many steps of time at one place are news."""
+
+
+def begins_step(stamp: int, before: int | None) -> bool:
+    """Tell whether a sample is the first of its step, by its stamp and that of the sample before it [ns]."""
+    return before is None or stamp // STEP_NS != before // STEP_NS
+
+
+def beginning_steps(stamps: Stamps) -> Mask:
+    """(N,) the same of samples in order."""
+    steps = stamps // STEP_NS
+    return np.concatenate([np.ones(min(len(steps), 1), dtype=bool), np.diff(steps) != 0])
 
 
 class Motion(NamedTuple):
@@ -37,11 +51,13 @@ class Motion(NamedTuple):
     since: int  # [ns] stamp of the last step, or of the start
     newest: int  # [ns] stamp of this sample
     nearby: Array  # (n_joints,) at the first of the last samples that are within STILL of it
-    still: int  # how many these are
+    still: int  # steps of time, of ``STEP_NS``, that these are of
     outputs: Array  # (n,) of this sample
     is_news: bool
     """Whether this sample is worth learning: it belongs to a motion, it is one of the first at its place, and there its
     outputs are neither all zero nor exactly those of the sample before, as of motors that are off behind brakes."""
+    stays: bool = False
+    """Whether it is at the place of the sample before."""
 
     def after(self, stamp: int, position: Array, outputs: Array) -> Motion:
         """With one sample more.
@@ -54,11 +70,11 @@ class Motion(NamedTuple):
         moved = compared(position, self.place, self.nearby)
         if moved == STEPPED:
             return at_start(stamp, position, outputs)
-        nearby, still = (position, 1) if moved else (self.nearby, self.still + 1)
-        is_news = stamp - self.since <= REST_NS and still <= STILL_SAMPLES
-        if is_news and still > 1:
+        nearby, still = (position, 1) if moved else (self.nearby, self.still + begins_step(stamp, self.newest))
+        is_news = stamp - self.since <= REST_NS and still <= STILL_STEPS
+        if is_news and not moved:
             is_news = bool(outputs.any() and (outputs != self.outputs).any())
-        return Motion(self.place, self.since, stamp, nearby, still, outputs, is_news)
+        return Motion(self.place, self.since, stamp, nearby, still, outputs, is_news, not moved)
 
     def interrupted(self) -> Motion:
         """Begin as after a jump of the clock, whatever the stamp of the next sample."""

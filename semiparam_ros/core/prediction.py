@@ -60,7 +60,7 @@ class Prediction(NamedTuple):
     beyond: float
     """How far the inputs lie outside of those learnt, see :func:`~semiparam_ros.core.input_range.beyond`."""
     begins_step: bool = True
-    """Whether a window may take it, see :func:`~semiparam_ros.core.initial_window.begins_step`."""
+    """Whether a window may take it, see :func:`~semiparam_ros.core.motion.begins_step`."""
     members: tuple[MemberPrediction, ...] = ()
     """By each of the models."""
     off: bool = False

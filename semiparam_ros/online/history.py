@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from semiparam_ros.core.initial_window import beginning_steps, begins_step
+from semiparam_ros.core.motion import beginning_steps, begins_step
 from semiparam_ros.core.samples import Sample, Samples
 from semiparam_ros.core.stamps import LONGEST_PAUSE_NS, LONGEST_STEP_S
 from semiparam_ros.core.types import Array, Codes, Mask, Stamps

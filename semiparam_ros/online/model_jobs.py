@@ -11,7 +11,7 @@ import numpy as np
 from semiparam_ros.core.ensemble import MARK_NS, MARKS
 from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.hyperparameters.estimation import Hyperparameters
-from semiparam_ros.core.initial_window import beginning_steps
+from semiparam_ros.core.motion import beginning_steps
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.types import Codes, Indices, Mask, Stamps
 from semiparam_ros.errors import SemiparamError

@@ -11,9 +11,9 @@ import pytest
 
 from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.hyperparameters.estimation import Hyperparameters, estimate
-from semiparam_ros.core.initial_window import STEP_NS, gathered_from
+from semiparam_ros.core.initial_window import gathered_from
 from semiparam_ros.core.model import ModelOptions, information_gain
-from semiparam_ros.core.motion import STILL_SAMPLES, at_start
+from semiparam_ros.core.motion import STEP_NS, STILL_STEPS, at_start
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Sample, Samples
 from semiparam_ros.core.variants import CHOICES
@@ -214,7 +214,7 @@ def test_a_caller_may_fill_the_same_arrays_with_every_sample(arm):
     cable = effect_from_text(f'cable_hysteresis@{arm.joints[0]}{{"slip": 0.001}}')
     model, expected = (Estimator(arm, ModelOptions('P'), [cable]) for _ in range(2))
     reused = [np.empty(count) for count in (4, 4, 4, 6)]
-    for sample in slow[:STILL_SAMPLES]:
+    for sample in slow[:STILL_STEPS]:
         for values, given in zip(reused, sample[1:5], strict=True):
             values[:] = given
         one, other = model.step(Sample(sample.stamp, *reused)), expected.step(sample)
@@ -352,11 +352,10 @@ def test_rest_is_not_counted_in_the_window_and_changes_nothing(arm, rate_hz, sec
     before = rest(recording[0], int(start), seconds * rate_hz)
     model, reference = (estimator(arm, 'SPK-ML', initial_samples=400) for _ in range(2))
     run(model, before)
-    steps = {sample.stamp // STEP_NS for sample in before[:STILL_SAMPLES]}
-    assert len(model.window) == len(steps) and not model.ready
+    assert len(model.window) == STILL_STEPS and not model.ready
     found, wanted = run(model, recording), run(reference, recording)
     assert [each.ready for each in wanted] == [False] * 400 + [True] * 500
-    left = 400 - len(steps)
+    left = 400 - STILL_STEPS
     assert [each.ready for each in found] == [False] * (left + 1) + [True] * (899 - left)
     assert relative_error(found[400:], recording) < 1.5 * relative_error(wanted[400:], recording)
     kept = model.model.recursion.state()
@@ -378,12 +377,24 @@ def test_slow_motion_counts_as_far_as_it_goes(speed, share):
     assert share <= np.mean(moving) <= share + 0.15
 
 
+@pytest.mark.parametrize('rate_hz', [1000, 4000])
+def test_of_slow_motion_a_faster_robot_shows_as_much(rate_hz):
+    """Five samples of a place were news, an eighth of the time at 4 kHz: a window at a tenth of a radian a second took
+    ten times as long as at 250 Hz."""
+    motion, learnt = at_start(0, np.zeros(1), np.ones(1)), []
+    for index in range(1, 2 * rate_hz):
+        time = index / rate_hz
+        motion = motion.after(round(1e9 * time), np.array([0.1 * time]), np.full(1, time))
+        learnt.append(motion.is_news)
+    assert np.mean(learnt) > 0.9
+
+
 def test_what_of_a_recording_the_initial_window_takes(recording):
     still = replace(recording, position=recording.position[:1].repeat(COUNT, 0))
     assert gathered_from(recording, 100).indices.tolist() == list(range(100))
     assert gathered_from(recording, 100)[1:] == (100, True)
     assert gathered_from(recording, 10 * COUNT)[1:] == (COUNT, False)
-    assert len(gathered_from(still, 100).indices) == STILL_SAMPLES and not gathered_from(still, 100).full
+    assert len(gathered_from(still, 100).indices) == STILL_STEPS and not gathered_from(still, 100).full
 
 
 @pytest.mark.parametrize(('period_ms', 'step'), [(0.5, 8), (1.0, 4), (2.0, 2), (3.0, None), (5.0, 1)])

@@ -20,7 +20,7 @@ from hypothesis import Phase
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
-from semiparam_ros.core.initial_window import STEP_NS
+from semiparam_ros.core.motion import STEP_NS
 from semiparam_ros.core.robot.consistency import pseudo_inertia
 from semiparam_ros.core.robot.external_wrench import ExternalWrench
 from semiparam_ros.core.variants import PRIORS
