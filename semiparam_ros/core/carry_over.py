@@ -28,7 +28,7 @@ BLOCKS = 32
 CHARGED_EVERY = 8
 """Of the samples of a block, one in so many is predicted."""
 FEWEST = 5
-"""Samples of a block that counts."""
+"""Samples of a block that counts, which lasts until it has them."""
 LEAST_SQUARE, LARGEST_ERROR = 1e-24, 1e100
 
 
@@ -61,8 +61,10 @@ class CarryOver:
         return self._passed % CHARGED_EVERY == 0
 
     def wants_coefficients(self, stamp: int) -> bool:
-        """Tell whether a block ends with the sample of ``stamp`` [ns], and another one begins."""
-        return not self._frozen or not 0 <= stamp - self._since < BLOCK_NS
+        """Tell whether a block ends with the sample of ``stamp`` [ns], and another one begins; one of a slow robot, or
+        of short motions, goes on until it counts."""
+        since = stamp - self._since
+        return not self._frozen or since < 0 or (since >= BLOCK_NS and self._charged >= FEWEST)
 
     def begin_block(self, stamp: int, coefficients: Sequence[Coefficients]) -> None:
         """The next block is predicted from these; one in which the clock jumped back is dropped."""

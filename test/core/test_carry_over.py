@@ -62,6 +62,20 @@ def test_a_block_that_was_interrupted_or_too_short_does_not_count():
     assert not len(carried.squares)
 
 
+@pytest.mark.parametrize(('period', 'moving', 'every'), [(2 * 10**8, 400, 400), (5 * 10**7, 20, 120)])
+def test_a_block_of_a_slow_robot_or_of_short_motions_goes_on_until_it_counts(period, moving, every):
+    """At 5 Hz, and of a robot of 20 Hz that moves for a second in six, there never was one."""
+    carried, rng = CarryOver(2, N), np.random.default_rng(0)
+    for index in range(400):
+        if index % every < moving:
+            if carried.next_is_due():
+                carried.charge(*(rng.normal(size=N), [np.zeros((N, P))] * 2, [np.zeros(D), np.zeros(0)]))
+            if carried.wants_coefficients(index * period):
+                carried.begin_block(index * period, models(rng))
+    learnt = 400 * moving / every
+    assert len(carried.squares) == pytest.approx(learnt / (CHARGED_EVERY * FEWEST), abs=1.0) and len(carried.squares)
+
+
 def test_the_latest_blocks_count_and_a_state_goes_on_bit_for_bit():
     carried, twin = CarryOver(2, N), CarryOver(2, N)
     live(carried, np.random.default_rng(0), (BLOCKS + 3) * BLOCK_NS // STEP + 20)
