@@ -113,11 +113,11 @@ class Ensemble:
         sample, members, outputs = prediction.sample, prediction.members, prediction.sample.outputs
         is_news = prediction.motion.is_news
         if len(members) == 1:
-            return self.first.take_in(sample, members[0], learn, is_news, follow=follow)
+            return self.first.take_in(sample, members[0], learn, is_news, None, follow, prediction.begins_step)
         counts = learn or not self.first.window_left  # as for the bands
         charged = np.zeros((len(members), self._horizons.length, len(outputs)))
         for model, its, errors in zip(self.models, members, charged, strict=True):
-            model.take_in(sample, its, learn, is_news, errors, follow)
+            model.take_in(sample, its, learn, is_news, errors, follow, prediction.begins_step)
         std = np.array([its.std for its in members])
         if is_news and counts:
             self._weigh(outputs - np.array([its.mean for its in members]), std)

@@ -58,8 +58,9 @@ class OnlineModel:
         self.window_left = window
         self._since_learnt = 0
         self.passed_over = 0
-        """Samples that were to be learnt but were not, by ``learn_every`` and
-        ``learn_least_gain``."""
+        """Samples that were to be learnt but were not: see :meth:`_is_due`."""
+        self._by_steps = model.hyperparameters.autocorrelation_time > 1.0
+        """Whether one sample of each step is learnt, as of the window that tells how much one counts."""
 
     def predict(self, observed: Observed, columns: Array) -> MemberPrediction:
         """Predict a sample, whose columns (n, p) are those of this model; nothing changes."""
@@ -98,18 +99,18 @@ class OnlineModel:
         return Coefficients(self.model.theta.copy(), alpha)
 
     def take_in(self, sample: Sample, prediction: MemberPrediction, learn: bool, is_news: bool,
-                errors: Array | None = None, follow: bool = False) -> HorizonErrors | None:
+                errors: Array | None = None, follow: bool = False, begins_step: bool = True) -> HorizonErrors | None:
         """Charge a predicted sample to the horizon index, and learn it where it is due; the horizon
         it completed.
 
         :param is_news: let bands follow it, and the wandering offset where it is learnt.
         :param errors: see :meth:`HorizonIndex.advance`. :param follow: let the wandering offset
-            follow it all the same.
+            follow it all the same. :param begins_step: whether a window may take it.
         """
         prior, recursion = prediction.prior, self.model.recursion
         errors = self._nothing if errors is None else errors
         outputs = np.ascontiguousarray(sample.outputs, dtype=float)
-        due = learn and self._is_due(prior)
+        due = learn and self._is_due(prior, begins_step)
         if due and is_news and self.wandering is not None:
             self.window_left -= min(self.window_left, 1)
             horizon = self.horizon
@@ -132,17 +133,18 @@ class OnlineModel:
         parts = self._nothing if self.wandering is None else self.wandering.parts
         return self.horizon.advance(sample.stamp, prior, outputs, update, parts, errors)
 
-    def _is_due(self, prior: Prior) -> bool:
+    def _is_due(self, prior: Prior, begins_step: bool) -> bool:
         """Tell whether a sample that is to be learnt is the next of so many, and tells enough; the
         initial window is whole.
 
+        Where noise stays alike, one sample of each step is learnt: how much it tells is known of such samples.
         Never by its outputs: to learn the surprising ones alone would bias the model.
         """
         options = self._options
         if not self.ready or self.window_left:
             return True
         self._since_learnt += 1
-        if self._since_learnt < options.learn_every or (
+        if self._since_learnt < options.learn_every or (self._by_steps and not begins_step) or (
                 options.learn_least_gain and information_gain(prior, self.model.noise_std)
                 < options.learn_least_gain):
             self.passed_over += 1

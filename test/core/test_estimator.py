@@ -596,6 +596,23 @@ def test_each_third_sample_is_learnt_and_all_are_followed(arm, recording, varian
     assert np.abs(offset - expected).max() > 0.0, 'the offset follows every sample'
 
 
+def test_where_noise_stays_alike_a_faster_robot_learns_as_much(arm):
+    """How much a sample tells is estimated from those that are 4 ms apart; four times as many were learnt at 1 kHz, and
+    the deviations told were too small."""
+    motion = smooth_motion(4, 400, 1000.0)
+    noise = 0.1 * np.random.default_rng(0).standard_normal((400, 6))
+    fast = replace(motion, outputs=arm.regressors(motion) @ (1.1 * arm.base_parameters) + noise)
+    models = []
+    for recording, r in ((fast, 50.0), (fast[::4], 50.0), (fast, 1.0)):
+        given = replace(GIVEN, autocorrelation_time=r)
+        model = estimator(arm, 'P', hyperparameters=given, input_mean=(0.0,) * 12, input_scale=(1.0,) * 12)
+        run(model, recording)
+        models.append((model.model.theta, model.passed_over))
+    (theta, passed_over), (slow, none), (_, white) = models
+    np.testing.assert_array_equal(theta, slow)
+    assert (passed_over, none, white) == (300, 0, 0)
+
+
 def test_what_tells_too_little_is_not_learnt(arm, recording):
     least = 0.3
     model, learnt = estimator(arm, 'SPK-ML', learn_least_gain=least, priors='paper'), []
