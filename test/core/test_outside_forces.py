@@ -31,17 +31,18 @@ SNIPPET = """<link name="ft"/><link name="gripper"><inertial><mass value="0.7"/>
 JOINTS = tuple(f'j{number}' for number in range(7))
 
 
-def chain():
-    """Seven joints about two axes in turn, 0.3 m apart, and a sensor behind the third."""
+def chain(share=1.0):
+    """Seven joints about two axes in turn, 0.3 m apart, and a sensor behind the third; of so much of its mass."""
     parts, parent = [link('base')], 'base'
     for number, name in enumerate(JOINTS):
-        parts += [link(f'l{number}', 1.5 - 0.1 * number),
+        parts += [link(f'l{number}', share * (1.5 - 0.1 * number)),
                   joint(name, 'revolute', parent, f'l{number}', axis='0 1 0' if number % 2 else '0 0 1')]
         parent = f'l{number}'
         if number == 2:
-            parts += [link('sensed'), joint('sensor', 'fixed', parent, 'sensed', '0 0.02 0.05', '0.3 0 0.2')]
+            parts += [link('sensed', share), joint('sensor', 'fixed', parent, 'sensed', '0 0.02 0.05', '0.3 0 0.2')]
             parent = 'sensed'
-    return f'<robot name="chain">{"".join(parts)}{link("tip", 0.2)}{joint("end", "fixed", parent, "tip")}</robot>'
+    parts += [link('tip', 0.2 * share), joint('end', 'fixed', parent, 'tip')]
+    return f'<robot name="chain">{"".join(parts)}</robot>'
 
 
 def arm(outputs, convention='action'):
@@ -151,6 +152,17 @@ def test_the_touched_link_is_the_likeliest(outputs):
         assert place.probabilities.sum() == pytest.approx(1.0)
         right.append(place.probabilities.argmax() == index)
     assert np.mean(right) > 0.85
+
+
+def test_the_touched_link_is_as_likely_on_an_arm_that_is_lighter_and_pushed_by_less():
+    """The forces of a touch were 5 to 80 N on each arm, of a hundredth of a newton of noise too."""
+    heavy, light = (ContactPlace(RigidBody.from_urdf(chain(share), JOINTS, 'effort')) for share in (0.4, 0.1))
+    position, rng = np.linspace(-0.5, 0.5, 7), np.random.default_rng(0)
+    for _ in range(5):
+        change, scale = rng.standard_normal(7), np.full(7, 0.2)
+        heavy.see(position, change, scale, 0.1)
+        light.see(position, 0.25 * change, 0.25 * scale, 0.1)
+    np.testing.assert_allclose(light.probabilities, heavy.probabilities, rtol=1e-6)
 
 
 @pytest.mark.parametrize('text', [TEXT, SNIPPET, f'<robot name="x">{SNIPPET}</robot>', f'  {TEXT}'],

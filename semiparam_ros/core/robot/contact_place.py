@@ -16,12 +16,13 @@ import numpy as np
 
 from semiparam_ros.core.robot.frames import frame_index, loaded_links, observed_links, unit_maps
 from semiparam_ros.core.robot.rigid_body import RigidBody
+from semiparam_ros.core.robot.size import push_force
 from semiparam_ros.core.types import Array
 
 BESIDE_M = 0.05
 """l"""
-FORCES_N = (5.0, 20.0, 80.0)
-"""s"""
+PUSH_SHARES = (0.05, 0.2, 0.8)
+"""s, over the force of a push."""
 SHARES = (0.33, 0.67, 1.0)
 """Of the ways from a joint."""
 APART_M = 0.02
@@ -36,6 +37,7 @@ class ContactPlace:
         self.links = tuple(loaded_links(body))
         self._body = body
         self._bodies, self._points = _points(body, self.links)
+        self._forces = push_force(body) * np.array(PUSH_SHARES)
         self.forget()
 
     def forget(self) -> None:
@@ -49,7 +51,7 @@ class ContactPlace:
         force, couple = force / scale[:, None], couple * (BESIDE_M / scale[:, None])
         values, vectors = np.linalg.eigh(force @ force.swapaxes(1, 2) + couple @ couple.swapaxes(1, 2))
         seen = np.einsum('pij,i->pj', vectors, innovation / scale) ** 2
-        variance = np.maximum(values, 0.0) * np.square(FORCES_N)[:, None, None] + 1.0
+        variance = np.maximum(values, 0.0) * np.square(self._forces)[:, None, None] + 1.0
         densities = -0.5 * (seen / variance + np.log(variance)).sum(axis=2)
         each = np.logaddexp.reduce(densities, axis=0)
         starts = np.searchsorted(self._bodies, np.unique(self._bodies))
