@@ -37,6 +37,7 @@ from semiparam_ros.core.online_model import ModelState, OnlineModel
 from semiparam_ros.core.prediction import DesiredOutputs, Observed, Prediction
 from semiparam_ros.core.random_features import input_scaling
 from semiparam_ros.core.robot.rigid_body import RigidBody
+from semiparam_ros.core.robot.size import radians
 from semiparam_ros.core.samples import NO_TEMPERATURE, Sample
 from semiparam_ros.core.stamps import LONGEST_PAUSE_NS
 from semiparam_ros.core.types import Array, Stamps
@@ -123,7 +124,8 @@ class Estimator:
         self._temperature = NO_TEMPERATURE
         """Of the newest sample: a desired state is as warm."""
         self._memory: Memories = None
-        self.kept = LearntInputs(3 * body.n_joints)
+        self._radians = radians(body)
+        self.kept = LearntInputs(3 * body.n_joints, self._radians)
         self.inputs_learnt: Array = np.zeros((0, 3 * body.n_joints))
         """See :mod:`semiparam_ros.core.input_range`."""
         given = self.options.hyperparameters
@@ -154,7 +156,7 @@ class Estimator:
     def _observed(self, sample: Sample, measured: Array | None = None) -> Observed:
         sample = sample.in_rows(self.body.n_joints, self.body.n_outputs)
         measured = np.array(sample.outputs if measured is None else measured)  # kept, where a caller may fill his anew
-        x, outside = beyond(self.inputs_learnt, sample)
+        x, outside = beyond(self.inputs_learnt, sample, self._radians)
         if isnan(outside):
             require_finite('positions, velocities and accelerations', x)
         memory = None if self._has_jumped(sample.stamp) else self._memory
@@ -306,7 +308,7 @@ class Estimator:
         """
         if not len(self.window):
             raise SemiparamError('the initial window holds no samples yet: none were learnt while the robot moved.')
-        scaling, plain = input_scaling(self.window.inputs), self._window_without_effects()
+        scaling, plain = input_scaling(self.window.inputs, self._radians), self._window_without_effects()
         members = members_of(self.options, bool(self.columns.effects), ready=True)
         windows = [self.window if member.has_effects else plain for member in members]
         found = [estimated_from(window, member.variant, self._columns_of(member), self.options, scaling, draft)

@@ -21,14 +21,17 @@ def widened(known: Array, x: Array) -> Array:
     return found
 
 
-def beyond(known: Array, sample: Sample) -> tuple[Array, float]:
+def beyond(known: Array, sample: Sample, radians: Array | None = None) -> tuple[Array, float]:
     """The inputs x (m,) of a sample, and how far the farthest lies outside, as a share of its range; 0 within, and NaN
     when one is not finite.
 
     A range counts as at least a fifth of the largest of its kind.
+
+    :param radians: (n_joints,) what of each joint's unit is as much as a radian; 1 unless given.
     """
-    x = np.empty(3 * len(sample.position))
-    return x, _beyond(known, sample.position, sample.velocity, sample.acceleration, x)
+    n_joints = len(sample.position)
+    x, radians = np.empty(3 * n_joints), np.ones(n_joints) if radians is None else radians
+    return x, _beyond(known, sample.position, sample.velocity, sample.acceleration, radians, x)
 
 
 @compiled
@@ -40,9 +43,10 @@ def widen(known: Matrix, x: Vector) -> None:
 
 
 @compiled
-def _beyond(known: Matrix, position: Strided, velocity: Strided, acceleration: Strided, x: Vector) -> float:
+def _beyond(known: Matrix, position: Strided, velocity: Strided, acceleration: Strided, radians: Vector,
+            x: Vector) -> float:
     n_joints = len(position)
-    if not len(velocity) == len(acceleration) == n_joints or (len(known) and known.shape[1] != len(x)):
+    if not len(velocity) == len(acceleration) == len(radians) == n_joints or (len(known) and known.shape[1] != len(x)):
         x[:] = 0.0  # nothing is read beyond an end; the regressor tells what does not fit the robot
         return 0.0
     for i in range(n_joints):
@@ -53,8 +57,8 @@ def _beyond(known: Matrix, position: Strided, velocity: Strided, acceleration: S
     for start in range(0, len(x) if len(known) else 0, n_joints):
         largest = 0.0
         for i in range(start, start + n_joints):
-            largest = max(largest, known[1, i] - known[0, i])
+            largest = max(largest, (known[1, i] - known[0, i]) / radians[i - start])
         for i in range(start, start + n_joints):
-            least = max(known[1, i] - known[0, i], LEAST_SHARE * largest, LEAST_RANGE)
+            least = max(known[1, i] - known[0, i], LEAST_SHARE * largest * radians[i - start], LEAST_RANGE)
             farthest = max(farthest, (known[0, i] - x[i]) / least, (x[i] - known[1, i]) / least)
     return farthest

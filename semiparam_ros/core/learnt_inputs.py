@@ -37,10 +37,13 @@ RENEWED_EVERY = 64
 
 
 class LearntInputs:
-    """The inputs that are kept, (k, m)."""
+    """The inputs that are kept, (k, m).
 
-    def __init__(self, n_inputs: int) -> None:
-        self._kept = np.zeros((ROOM, n_inputs))
+    :param radians: (n_joints,) what of each joint's unit is as much as a radian.
+    """
+
+    def __init__(self, n_inputs: int, radians: Array | float = 1.0) -> None:
+        self._kept, self._radians = np.zeros((ROOM, n_inputs)), radians
         self._count, self._stride, self._passed = 0, 1, 0
         self._metric: tuple[tuple[int, int], Array, Array, Array, float] | None = None
         self._kernels: dict[RandomFeatures, tuple[tuple[int, int], Array]] = {}
@@ -88,7 +91,7 @@ class LearntInputs:
 
     def _measured(self, used: int) -> tuple[tuple[int, int], Array, Array, Array, float]:
         kept = self._kept[:used]
-        mean, scale = input_scaling(kept)
+        mean, scale = input_scaling(kept, self._radians)
         z = (kept - mean) / scale
         factor, _ = cho_factor(z.T @ z / len(z) + LEAST_VARIANCE * np.eye(z.shape[1]), lower=True)
         return (used, self._stride), mean, scale, factor, max(float(np.sqrt(_squares(z, factor).max())), 1.0)

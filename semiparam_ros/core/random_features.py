@@ -111,16 +111,17 @@ def spread(tau: Sequence[float], n_inputs: int) -> Array:
     raise SemiparamError(f'{len(tau)} length scales for {n_inputs} inputs; expected 1, {KINDS} or {n_inputs}.')
 
 
-def input_scaling(inputs: Array) -> tuple[Array, Array]:
+def input_scaling(inputs: Array, radians: Array | float = 1.0) -> tuple[Array, Array]:
     """Mean and scale of a window of inputs (N, m): the standard deviation, kept from that of noise alone.
 
     A joint that hardly moved in the window would have its noise blown up to the size of the others' motion, and its
     first real motion far beyond what the features have seen. So each scale is at least a fifth of the largest of its
     kind (position, velocity, acceleration), and 1 where no joint moved.
+
+    :param radians: (n_joints,) what of each joint's unit is as much as a radian.
     """
-    deviation = inputs.std(axis=0)
-    largest = deviation.reshape(KINDS, -1).max(axis=1)
-    floor = np.repeat(LEAST_SHARE * largest, inputs.shape[1] // KINDS)
-    scale = np.maximum(deviation, floor)
+    deviation = inputs.std(axis=0).reshape(KINDS, -1)
+    largest = (deviation / radians).max(axis=1)
+    scale = np.maximum(deviation, LEAST_SHARE * largest[:, None] * radians).ravel()
     rounding = 1e-9 * max(1.0, float(np.abs(inputs).max()))
     return inputs.mean(axis=0), np.where(scale > rounding, scale, 1.0)

@@ -12,6 +12,7 @@ from semiparam_ros.core.hyperparameters.estimation import Hyperparameters, estim
 from semiparam_ros.core.hyperparameters.validation import Grid
 from semiparam_ros.core.model import AUTO
 from semiparam_ros.core.random_features import input_scaling, spectrum
+from semiparam_ros.core.robot.size import radians
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.settings import Settings
 from semiparam_ros.settings.build import build_rigid_body, declared_effects, hyperparameter_values, model_options
@@ -40,7 +41,7 @@ def fitted_settings(settings: Settings, samples: Samples, robot_description: str
     options = model_options(replace(settings, hyperparameters_sigma=()))
     columns = CoupledColumns(body, declared_effects(settings), options.joint_friction, options.physical)
     coupled, _ = columns.batch(samples)
-    mean, scale = input_scaling(samples.inputs)
+    mean, scale = input_scaling(samples.inputs, radians(body))
     omega = spectrum(len(mean), options.most_features, options.features_seed, options.features_frequencies)
     found = estimate(
         options.variant, samples.outputs, np.asarray(coupled), (samples.inputs - mean) / scale, omega,

@@ -153,6 +153,12 @@ def test_the_range_of_the_inputs():
         assert input_range.beyond(wider, sample)[1] == 0.0
         known = wider
     assert lies == 0.0
+    lengths = np.array([1.0, 1.0, 0.02])  # of a joint that slides: the same in other units is as far
+    x = 2.0 * rng.standard_normal(9)
+    one, other = (Sample(0, *(x / unit).reshape(3, joints), np.zeros(N)) for unit in (np.ones(9), np.tile(lengths, 3)))
+    far = input_range.beyond(known / np.tile(lengths, 3), other)[1]
+    assert input_range.beyond(known, one, lengths)[1] == pytest.approx(far, rel=1e-9)
+    assert input_range.beyond(known, one)[1] < 0.5 * far
 
 
 @pytest.mark.parametrize('features', [1, 2, 7, 40])

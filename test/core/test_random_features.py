@@ -107,6 +107,17 @@ def test_a_joint_with_nothing_but_noise_is_scaled_by_the_others_motion():
     np.testing.assert_array_equal(np.delete(scale, 1), np.delete(input_scaling(X)[1], 1))
 
 
+def test_a_joint_that_slides_is_compared_by_the_length_of_what_it_carries():
+    """By metres beside radians, a lift of three centimetres was scaled by five times its motion."""
+    slides = X.copy()
+    slides[:, ::2] *= 0.1
+    scale = input_scaling(slides, np.array([0.4, 1.0]))[1]
+    np.testing.assert_allclose(scale, slides.std(axis=0))
+    slides[:, ::2] *= 0.1
+    shorter = input_scaling(slides, np.array([0.4, 1.0]))[1]
+    np.testing.assert_allclose(shorter[::2], 0.4 * 0.2 * shorter[1::2])
+
+
 def test_inputs_that_stand_still_keep_their_unit():
     still = X.copy()
     still[:, 2:4] = 0.7

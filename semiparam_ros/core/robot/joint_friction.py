@@ -19,7 +19,7 @@ import numpy as np
 
 from semiparam_ros.core.compiled import Integers, Part, Strided, Vector, compiled
 from semiparam_ros.core.robot.rigid_body import RigidBody
-from semiparam_ros.core.robot.size import output_scale, size_beyond
+from semiparam_ros.core.robot.size import output_scale, radians
 from semiparam_ros.core.types import Array
 
 TURN_SPEEDS = np.array([0.005, 0.03])
@@ -61,9 +61,8 @@ def friction_scale(body: RigidBody) -> Array:
 def friction_prior(body: RigidBody) -> Array:
     """(KINDS n,) prior standard deviations of the columns' coefficients, in the order of the columns."""
     scale = friction_scale(body)
-    radius = np.array([size_beyond(body, joint).length if joint in body.prismatic else 1.0
-                       for joint in body.output_names])
-    return np.concatenate([scale / (TOP_SPEED * radius), np.tile(scale, len(TURN_SPEEDS))])
+    top_speeds = TOP_SPEED * radians(body)[body.output_index]
+    return np.concatenate([scale / top_speeds, np.tile(scale, len(TURN_SPEEDS))])
 
 
 @compiled

@@ -79,6 +79,13 @@ def size_beyond(body: RigidBody, joint: str) -> Size:
     return Size(max(part.mass, LEAST_PART * whole.mass), max(part.length, LEAST_PART * whole.length))
 
 
+@lru_cache(maxsize=16)
+def radians(body: RigidBody) -> Array:
+    """(n_joints,) what of each joint's unit is as much as a radian: where it slides, as far as the end of what it
+    carries goes when that turns by one [m]."""
+    return np.array([size_beyond(body, joint).length if joint in body.prismatic else 1.0 for joint in body.joints])
+
+
 def _beyond(model: pin.Model, first: int) -> Size:
     carried = [index for index in range(first, model.njoints) if first in model.supports[index]]
     ends = set(carried) - {model.parents[index] for index in carried}
