@@ -210,9 +210,12 @@ class Estimator:
         if learn and (prediction.beyond or not len(self.inputs_learnt)):
             self.inputs_learnt = widened(self.inputs_learnt, sample.inputs)
         of_window = self.ready and self.ensemble.first.window_left  # which holds no others
+        counts = prediction.begins_step or (self.ready and not of_window)
+        passed_over = self.passed_over
         complete = self.ensemble.take_in(prediction, learn and (prediction.begins_step or not of_window), follow)
         if learn:
-            self.kept.add(sample)
+            if counts and self.passed_over == passed_over:
+                self.kept.add(sample)
             if self.ready and prediction.motion.is_news:
                 self.ensemble.charge_left_out(prediction)
             self.ensemble.mark(sample.stamp, self.marks)

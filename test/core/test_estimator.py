@@ -592,6 +592,8 @@ def test_each_third_sample_is_learnt_and_all_are_followed(arm, recording, varian
     for name, values in model.model.recursion.state().items():
         np.testing.assert_array_equal(values, by_hand.model.recursion.state()[name], err_msg=name)
     assert model.passed_over == 40 and by_hand.passed_over == 0
+    kept = model.kept.state()['counts'].tolist()[-1]
+    assert kept == WINDOW + 20, 'features know no more of the inputs than was learnt'
     offset, expected = (each.ensemble.first.wandering.offset for each in (model, by_hand))
     assert np.abs(offset - expected).max() > 0.0, 'the offset follows every sample'
 
