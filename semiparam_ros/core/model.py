@@ -84,6 +84,11 @@ class Model:
         return self.theta[block.start - start:block.stop - start] if block.start >= start else np.zeros(0)
 
     @property
+    def by_steps(self) -> bool:
+        """Whether it learns one sample of each step, as of the window that tells how much one counts."""
+        return self.hyperparameters.autocorrelation_time > 1.0
+
+    @property
     def noise_std(self) -> Array:
         """(n,) standard deviation of each output's noise, in N and N m."""
         return self.recursion.sigma * self.recursion.scale

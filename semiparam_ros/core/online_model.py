@@ -59,8 +59,6 @@ class OnlineModel:
         self._since_learnt = 0
         self.passed_over = 0
         """Samples that were to be learnt but were not: see :meth:`_is_due`."""
-        self._by_steps = model.hyperparameters.autocorrelation_time > 1.0
-        """Whether one sample of each step is learnt, as of the window that tells how much one counts."""
 
     def predict(self, observed: Observed, columns: Array) -> MemberPrediction:
         """Predict a sample, whose columns (n, p) are those of this model; nothing changes."""
@@ -144,7 +142,7 @@ class OnlineModel:
         if not self.ready or self.window_left:
             return True
         self._since_learnt += 1
-        if self._since_learnt < options.learn_every or (self._by_steps and not begins_step) or (
+        if self._since_learnt < options.learn_every or (self.model.by_steps and not begins_step) or (
                 options.learn_least_gain and information_gain(prior, self.model.noise_std)
                 < options.learn_least_gain):
             self.passed_over += 1

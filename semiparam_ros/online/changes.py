@@ -307,6 +307,8 @@ class ChangeDetector:
         self._power: deque[float] = deque(maxlen=USUAL * max(LENGTHS))
         self._innovations: deque[float] = deque(maxlen=USUAL * max(LENGTHS))
         """Weighed squares of free blocks, and of their innovations."""
+        self._judged = np.zeros(2)
+        """Samples so far, and those that begin a step."""
         self._per_block, self._usual_size = 1, 0.0
         """Samples of the last block, and the root mean square of what is left of one, in its standard deviations."""
         self._noise_std: Array | None = None
@@ -450,8 +452,10 @@ class ChangeDetector:
     def _refer(self) -> None:
         """Compare with the model from before the longest window from now on."""
         assert self._model is not None
-        # what noise repeats is in kappa
+        # what noise repeats is in kappa, also where of the samples that are judged some are not learnt
         everything = self._model.recursion.theta_covariance(white=True)
+        if self._model.by_steps and self._judged[0]:
+            everything *= self._judged[1] / self._judged[0]
         columns = self._own_columns
         scale = np.outer(self._own_scale, self._own_scale)
         covariance = everything[np.ix_(columns, columns)] / scale
@@ -476,6 +480,7 @@ class ChangeDetector:
         unweighed = sample.outputs - columns @ reference - self._turned @ self._known_turns
         left = unweighed * weight
         self._samples += 1
+        self._judged += (1.0, prediction.begins_step)
         self._gram += rows.T @ rows
         self._moment += left @ rows
         time = self._seconds / BLOCK_S

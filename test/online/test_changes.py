@@ -9,6 +9,7 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from semiparam_ros.core.estimator import Estimator
+from semiparam_ros.core.hyperparameters.estimation import Hyperparameters
 from semiparam_ros.core.model import ModelOptions
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.robot.size import push_force, size_beyond
@@ -28,7 +29,7 @@ from semiparam_ros.online.changes import (
 from semiparam_ros.online.diagnosis_jobs import diagnose
 from semiparam_ros.online.history import batch_of
 from semiparam_ros.online.wandering_contact import WANDERS, contact_scale, wandering
-from support.arms import ODD_ARM, ODD_JOINTS
+from support.arms import ODD_ARM, ODD_JOINTS, smooth_motion
 from support.changing_arm import (
     CALM,
     LOADED_S,
@@ -174,6 +175,21 @@ def test_what_comes_is_judged_by_the_model_from_before_the_longest_window():
             models.append(model.theta.copy())
         estimator.observe(prediction, prediction.motion.is_news)
     assert (detector.reference == models[-max(LENGTHS)]).all()
+
+
+def test_what_a_model_may_learn_yet_is_as_much_at_any_rate():
+    """Where noise stays alike one sample of each step is learnt, but all are judged: four times the noise is usual."""
+    body, found = free()[0], []
+    given = Hyperparameters(1.0, 1.0, (), 0.1, (1.0,) * 6, autocorrelation_time=50.0)
+    motion = smooth_motion(body.n_joints, 1200, 1000.0, speed=2.0)
+    motion = replace(motion, outputs=body.regressors(motion) @ body.base_parameters)
+    for samples in (motion, motion[::4]):
+        zeros = (0.0,) * 3 * body.n_joints
+        options = ModelOptions('P', hyperparameters=given, input_mean=zeros, input_scale=zeros)
+        estimator = Estimator(body, options)
+        _, _, detector = seen(estimator, ChangeDetector(estimator.columns), [], samples)
+        found.append(detector._before[3][1])
+    np.testing.assert_allclose(found[0], 0.25 * found[1], rtol=0.05, atol=1e-3 * np.abs(found[1]).max())
 
 
 def test_nothing_is_told_where_nothing_changes():
