@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from semiparam_ros.bags.text_lines import Cells, text_lines
+from semiparam_ros.bags.text_lines import Cells, filled, number_in, text_lines
 from semiparam_ros.errors import SemiparamError
 
 SUFFIXES = ('.npz', '.npy', '.mat')
@@ -60,11 +60,16 @@ def _arrays(path: Path) -> dict[str, Any]:
 
 
 def _folder(folder: Path) -> dict[str, Any]:
-    arrays = {}
+    arrays = dict[str, Any]()
     for path in _tables(folder):
+        if path.stem in arrays:
+            raise SemiparamError(f'{str(folder)!r} has several tables called {path.stem!r}; expected distinct names, '
+                                 'for that of a file names its columns.')
         try:
-            rows = [[float(cell) for cell in cells] for _, cells in text_lines(path)]
+            rows = [[number_in(cell) for cell in filled(cells)] for _, cells in text_lines(path)]
             arrays[path.stem] = np.array(rows)
+        except SemiparamError:
+            raise
         except ValueError:
             raise SemiparamError(f'{str(path)!r} is no table of numbers alone; expected as many of them in each line '
                                  'and no header, for in a folder the name of a file names its columns.') from None
@@ -82,7 +87,7 @@ def _file(path: Path) -> dict[str, Any]:
         raise SemiparamError(f'{name} cannot be read: {error.strerror or error}.') from error
     except NotImplementedError as error:
         raise SemiparamError(f"{name} is of MATLAB 7.3 or later; save it with save(FILE, '-v7').") from error
-    except (ValueError, TypeError, KeyError, EOFError, zipfile.BadZipFile) as error:
+    except (ValueError, TypeError, KeyError, EOFError, MemoryError, OverflowError, zipfile.BadZipFile) as error:
         raise SemiparamError(f'{name} is damaged or holds no plain arrays ({" ".join(str(error).split())}); save '
                              'arrays of numbers.') from error
 
@@ -109,9 +114,10 @@ def _fields(values: Mapping[str, Any], within: str = '') -> Iterator[tuple[str, 
 
 def _columns(arrays: Mapping[str, Any], where: str) -> dict[str, np.ndarray[Any, Any]]:
     """Columns (N,) by name. Samples run along the longer side that most arrays share."""
-    numeric = {name: np.atleast_1d(np.squeeze(np.asarray(values))) for name, values in arrays.items()}
-    numeric = {name: values for name, values in numeric.items()
-               if values.dtype.kind in 'iuf' and 1 <= values.ndim <= 2 and values.size > 1}
+    numeric = {name: np.atleast_1d(np.squeeze(values)) for name, values in arrays.items()
+               if isinstance(values, np.ndarray) and values.dtype.kind in 'iuf'}
+    numeric = {name: values.astype(float) if values.dtype.itemsize > 8 else values for name, values in numeric.items()
+               if values.ndim <= 2 and values.size > 1}
     lengths = [max(values.shape) for values in numeric.values()]
     if not lengths:
         raise SemiparamError(f'{where} holds no arrays of numbers; expected one for each quantity, a row a sample.')

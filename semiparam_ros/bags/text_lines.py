@@ -19,16 +19,18 @@ def text_lines(path: Path, progress: Callable[[int], None] = lambda done: None) 
 
     :param progress: called with the number of bytes read so far.
     """
-    read = 0
+    read = number = 0
     try:
         with path.open('rb') as file:
-            for number, raw in enumerate(file, 1):
+            for raw in file:
                 read += len(raw)
-                line = raw.decode('utf-8-sig' if number == 1 else 'utf-8').rstrip()
-                if line and line.lstrip()[0] not in '#%':
-                    yield number, _cells(line)
-                if number % 100 == 0:
-                    progress(read)
+                for part in raw.splitlines():  # of bytes, for a carriage return ends a line too
+                    number += 1
+                    line = part.decode('utf-8-sig' if number == 1 else 'utf-8')
+                    if line.strip() and line.lstrip()[0] not in '#%':
+                        yield number, _cells(line, f'{str(path)!r} line {number}')
+                    if number % 100 == 0:
+                        progress(read)
     except OSError as error:
         raise SemiparamError(f'{str(path)!r} cannot be read: {error.strerror}.') from error
     except UnicodeDecodeError as error:
@@ -36,11 +38,32 @@ def text_lines(path: Path, progress: Callable[[int], None] = lambda done: None) 
     progress(read)
 
 
-def _cells(line: str) -> list[str]:
-    """Cells of a line; the first one may be empty, as over the row numbers of a table. What stands in quotes is one."""
+def number_in(cell: str) -> float:
+    """The number that stands in a cell; raises ValueError for anything else, also for a name such as 1_2, which Python
+    reads as 12."""
+    if '_' in cell:
+        raise ValueError(f'{cell!r} is a name')
+    return float(cell)
+
+
+def filled(cells: list[str]) -> list[str]:
+    """Cells without the empty ones at their end."""
+    count = len(cells)
+    while count and not cells[count - 1]:
+        count -= 1
+    return cells[:count]
+
+
+def _cells(line: str, where: str) -> list[str]:
+    """Cells of a line; the first and the last may be empty, as over the row numbers of a table. What stands in quotes
+    is one."""
     bare = re.sub('"[^"]*"', '', line)
-    separator = next((mark for mark in ';,\t' if mark in bare.lstrip()), None)
-    quoted = separator is not None and bare != line
-    cells = next(csv.reader([line], delimiter=separator or ' ', skipinitialspace=True)) if quoted else \
-        line.split(separator)
+    separator = next((mark for mark in ';,\t' if mark in bare.strip()), None)
+    if separator is None or bare == line:
+        cells = line.split(separator)
+    else:
+        try:
+            cells = next(csv.reader([line], delimiter=separator, skipinitialspace=True))
+        except csv.Error as error:
+            raise SemiparamError(f'{where} cannot be read: {error}.') from error
     return [cell.strip().strip('"') for cell in cells]

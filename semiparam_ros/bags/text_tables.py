@@ -16,7 +16,7 @@ from semiparam_ros.bags import sample_messages
 from semiparam_ros.bags.array_files import array_lines, holds_arrays, raise_unmatched
 from semiparam_ros.bags.conversion import write_description
 from semiparam_ros.bags.sample_messages import SampleMessage
-from semiparam_ros.bags.text_lines import text_lines
+from semiparam_ros.bags.text_lines import filled, number_in, text_lines
 from semiparam_ros.bags.writer import BagWriter
 from semiparam_ros.core.stamps import NANOSECONDS
 from semiparam_ros.errors import SemiparamError
@@ -211,6 +211,9 @@ def _index(column: int | str, header: Sequence[str], where: str) -> int:
         return column - 1
     if column not in header:
         raise SemiparamError(f'{where} has no column {column!r}; its header has {", ".join(header) or "no names"}.')
+    if header.count(column) > 1:
+        raise SemiparamError(f'{where} has {header.count(column)} columns {column!r}; expected distinct names, or the '
+                             'numbers of columns.')
     return list(header).index(column)
 
 
@@ -277,7 +280,7 @@ def read_rows(path: str | os.PathLike[str], layout: TableLayout,
     first = next(numbers, None)
     if first is None:
         return
-    header = first[1] if arrays or not all(map(_is_number, filter(None, first[1]))) else []
+    header = first[1] if arrays or _holds_names(first[1], layout) else []
     layout = layout.spread(header)
     unknown = [column for columns in layout.columns.values() for column in columns
                if isinstance(column, str) and column not in header]
@@ -287,18 +290,42 @@ def read_rows(path: str | os.PathLike[str], layout: TableLayout,
     indices = {role: [_index(column, header, name) for column in columns]
                for role, columns in layout.columns.items()}
     width = 1 + max(index for columns in indices.values() for index in columns)
+    alike = first if _has_names(layout) or not header else None
     for number, (line, cells) in enumerate(numbers if header else chain([first], numbers)):
         where = f'{name} line {line}'
         if len(cells) < width:
             raise SemiparamError(f'{where} has {len(cells)} columns; expected at least {width}, the highest that is '
                                  'named. White space, commas, semicolons or tabs separate them.')
+        alike = alike or (line, cells)
+        _check_width(cells, *alike, where)
         named = {role: [cells[index] for index in columns] for role, columns in indices.items()}
         yield _row(layout, named, number, where)
 
 
+def _holds_names(cells: Sequence[str], layout: TableLayout) -> bool:
+    """Tell whether the first line is a header: a row of numbers that lacks some, in words, is none."""
+    if all(map(_is_number, filter(None, cells))):
+        return False
+    asked = layout.columns.get('time') or [column for columns in layout.columns.values() for column in columns]
+    return _has_names(layout) or not any(
+        _is_number(cells[column - 1]) for column in asked if isinstance(column, int) and 0 < column <= len(cells))
+
+
+def _has_names(layout: TableLayout) -> bool:
+    return any(isinstance(column, str) for columns in layout.columns.values() for column in columns)
+
+
+def _check_width(cells: list[str], line: int, others: list[str], where: str) -> None:
+    """Raise SemiparamError where a row has more or fewer columns than another ``line``: which is which is not known
+    then. Empty ones at the end do not count."""
+    if len(cells) != len(others) and any(max(cells, others, key=len)[min(len(cells), len(others)):]):
+        raise SemiparamError(f'{where} has {len(filled(cells))} columns, but line {line} has {len(filled(others))}; '
+                             'expected as many in each, so that a column is the same everywhere.')
+
+
 def _is_number(cell: str) -> bool:
     try:
-        float(cell)
+        number_in(cell)
     except ValueError:
         return False
     return True
@@ -328,7 +355,8 @@ def _stamp(layout: TableLayout, cell: str | None, number: int, where: str) -> in
         time = (Decimal(str(layout.start)) + number * Decimal(str(layout.period))) * NANOSECONDS
     else:
         nearly = _float(cell, 'time', where)
-        time = Decimal(cell) * TIME_UNITS[layout.time_unit] if math.isfinite(nearly) else Decimal(nearly)
+        # A Decimal takes no exponent of twenty digits, which is nothing or infinity.
+        time = (Decimal(cell) if nearly and math.isfinite(nearly) else Decimal(nearly)) * TIME_UNITS[layout.time_unit]
     if not (time.is_finite() and 0 <= time < _LATEST_STAMP):
         raise SemiparamError(f'{where} has the time {time / NANOSECONDS:f} s; expected 0 to '
                              f'{_LATEST_STAMP // NANOSECONDS} s.')
@@ -337,7 +365,7 @@ def _stamp(layout: TableLayout, cell: str | None, number: int, where: str) -> in
 
 def _float(cell: str, role: str, where: str) -> float:
     try:
-        return float(cell)
+        return number_in(cell)
     except ValueError:
         raise SemiparamError(f'{where}: {cell!r} is not a number ({role}).') from None
 

@@ -167,6 +167,38 @@ def test_a_first_row_that_lacks_a_number_is_no_header(tmp_path):
     assert messages(bag, '/joint_states')[0].data.position == [1.0, 2.0]
 
 
+ONE_JOINT = ('--joints', 'a', '--time', '1', '--position', '2')
+
+
+@pytest.mark.parametrize(('text', 'rows'), [
+    ('1 2 9\r3 4 9\r5 6 9\r', [(1.0, 2.0), (3.0, 4.0), (5.0, 6.0)]),  # was one row
+    ('1_1,1_2\n3,4\n', [(3.0, 4.0)]),  # names of axes were the numbers 11 and 12
+    ('1,2,,\n3,4,5,\n5,6\n', [(1.0, 2.0), (3.0, 4.0), (5.0, 6.0)]),
+    ('t\tq\tremark\n1\t2\t\n', [(1.0, 2.0)]),
+    ('1e-99999999999999999999,2\n3,4\n', [(0.0, 2.0), (3.0, 4.0)])])  # was a decimal.InvalidOperation
+def test_rows_are_those_that_the_file_has(text, rows, tmp_path):
+    path, bag = tmp_path / 'table.txt', tmp_path / 'out.mcap'
+    path.write_bytes(text.encode())
+    columns = ('--time', 't', '--position', 'q') if text.startswith('t') else ONE_JOINT[2:]
+    assert convert(path, bag, *ONE_JOINT[:2], *columns) == 0
+    assert [(1e-9 * state.log_time, *state.data.position) for state in messages(bag, '/joint_states')] == rows
+
+
+NAMED = ('--joints', 'a', '--time', 't', '--position', 'q')
+
+
+@pytest.mark.parametrize(('text', 'options', 'sentence'), [
+    ('1,NA\n2,3\n', ONE_JOINT, "line 1: 'NA' is not a number (position)"),  # was passed by as a header
+    ('1,1_5\n2,3\n', ONE_JOINT, "line 1: '1_5' is not a number (position)"),  # was 15
+    ('t,q,q\n1,2,3\n', NAMED, "has 2 columns 'q'; expected distinct names"),  # was the first of them
+    ('"t","q"\n"1",0.1,2\n', NAMED, 'line 2 has 3 columns, but line 1 has 2'),  # row numbers were times
+    ('t [s] q v\n1 2 3\n', NAMED, 'line 2 has 3 columns, but line 1 has 4'),  # velocities were positions
+    ('title\n1 2 3\n2 2 33 2 3\n', ONE_JOINT, 'line 3 has 5 columns, but line 2 has 3'),  # two rows run together
+    ('1,"' + 'x' * 200_000 + '"\n', ONE_JOINT, 'line 1 cannot be read: field larger than field limit')])
+def test_a_column_that_may_be_another_is_refused(text, options, sentence, tmp_path, capsys):
+    assert sentence in refusal(capsys, 'convert', table(tmp_path, text), tmp_path / 'out.mcap', *options)
+
+
 def test_options_win_over_the_columns_file(tmp_path):
     columns = tmp_path / 'columns.yaml'
     columns.write_text('joints: [a, b]\nrate: 10\ndegrees: true\ncolumns: {position: 1-2, velocity: 3-4}\n')
@@ -264,10 +296,15 @@ def test_ranges_of_an_array_and_rows_that_do_not_match(form, tmp_path, capsys):
             '--position', f'{within}q', '--effort', within + columns)
 
 
+HUGE = b"{'descr': '<f8', 'fortran_order': False, 'shape': (%d,)}"
+
+
 @pytest.mark.parametrize(('name', 'content', 'sentence'), [
     ('a.npz', b'PK no archive', 'is damaged or holds no plain arrays'), ('a.npz', b'', 'holds no plain arrays'),
     ('a.mat', b'MATLAB 5.0 but not really', 'is damaged or holds no plain arrays'),
-    ('a.npy', None, 'holds no arrays of numbers')])
+    ('a.npy', None, 'holds no arrays of numbers'),
+    *[('a.npy', b'\x93NUMPY\x01\0v\0' + (HUGE % count).ljust(118),
+       'is damaged or') for count in (10**13, 10**26)]])  # were a MemoryError and an OverflowError
 def test_array_files_that_hold_nothing_end_in_one_sentence(name, content, sentence, tmp_path, capsys):
     path = tmp_path / name
     if content is None:
@@ -275,6 +312,27 @@ def test_array_files_that_hold_nothing_end_in_one_sentence(name, content, senten
     else:
         path.write_bytes(content)
     assert sentence in refusal(capsys, 'convert', path, tmp_path / 'out.mcap', *TWO_JOINTS)
+
+
+def test_a_cell_array_or_long_doubles_beside_others_do_no_harm(tmp_path):
+    """Structs in a cell array ended in a ValueError of numpy; a long double was told as no number."""
+    cell = np.empty(2, object)
+    cell[:] = [{'a': 1.0}, np.arange(3.0)]
+    savemat(tmp_path / 'run.mat', quantities() | {'notes': cell})
+    np.savez(tmp_path / 'run.npz', **{name: values.astype(np.longdouble) for name, values in quantities().items()})
+    for name in ('run.mat', 'run.npz'):
+        bag = tmp_path / 'out.mcap'
+        assert convert(tmp_path / name, bag, '--joints', 'hip,knee', '--time', 't', '--position', 'q') == 0
+        states = messages(bag, '/joint_states')
+        np.testing.assert_array_equal([state.data.position for state in states], quantities()['q'])
+
+
+def test_two_tables_of_one_name_in_a_folder_are_refused(tmp_path, capsys):
+    """The last one was taken without a word."""
+    path = saved_arrays(tmp_path, quantities(), 'folder')
+    (path / 'q.txt').write_text('1 2\n' * 50)
+    assert "has several tables called 'q'; expected distinct names" in refusal(
+        capsys, 'convert', path, tmp_path / 'out.mcap', '--joints', 'a,b', '--time', 't', '--position', 'q')
 
 
 def test_the_same_input_gives_the_same_bytes(tmp_path):
