@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import yaml
 
 from semiparam_ros.core.stamps import NANOSECONDS
+from semiparam_ros.settings.yaml_file import document
 
 INFINITE_NS = 2**63 - 1
 _HISTORY = {0: 'system_default', 1: 'keep_last', 2: 'keep_all', 3: 'unknown'}
@@ -42,7 +43,7 @@ LATCHED = Qos(depth=1, durability='transient_local')
 def parse_profiles(text: str | Sequence[object] | None) -> tuple[Qos, ...]:
     """The recorded offers, from YAML text or its parsed list; anything else that is not a profile is left out."""
     try:
-        entries = yaml.safe_load(text) if isinstance(text, str) else text
+        entries = document(text) if isinstance(text, str) else text
     except (yaml.YAMLError, RecursionError):
         entries = None
     if not isinstance(entries, Sequence) or isinstance(entries, str):

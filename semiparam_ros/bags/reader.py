@@ -16,6 +16,7 @@ from semiparam_ros.bags import qos
 from semiparam_ros.bags.base import BagReader, Losses, Message, TopicInfo
 from semiparam_ros.bags.mcap_reader import McapBag, is_mcap
 from semiparam_ros.errors import SemiparamError
+from semiparam_ros.settings.yaml_file import document
 
 
 class MergedBag(BagReader):
@@ -130,7 +131,7 @@ def _open_directory(path: Path) -> BagReader:
 def _metadata(path: Path) -> dict[str, Any]:
     """Content of metadata.yaml; nothing where it is missing or damaged: the files tell enough."""
     try:
-        return dict(yaml.safe_load((path / 'metadata.yaml').read_text())['rosbag2_bagfile_information'])
+        return dict(document((path / 'metadata.yaml').read_text(encoding='utf-8'))['rosbag2_bagfile_information'])
     except (OSError, UnicodeDecodeError, yaml.YAMLError, RecursionError, KeyError, TypeError, ValueError):
         return {}
 

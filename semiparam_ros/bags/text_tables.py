@@ -67,11 +67,13 @@ class TableLayout:
         :param where: names the origin of the values in errors. 'rate' [Hz] may stand for 'period'.
         """
         known = {each.name for each in fields(self)} | {'rate'}
-        for name in values.keys() - known:
+        for name in map(str, values.keys() - known):
             guess = difflib.get_close_matches(name, known, 1)
             hint = f'; did you mean {guess[0]!r}?' if guess else f': expected one of {", ".join(sorted(known))}.'
             raise SemiparamError(f'{where}: {name!r} is unknown{hint}')
         converted = {name: _converted(name, value, where) for name, value in values.items()}
+        if {'rate', 'period'} <= converted.keys():
+            raise SemiparamError(f'{where}: both rate and period are given; expected one of them.')
         if 'rate' in converted:
             converted['period'] = 1.0 / _positive('rate', converted.pop('rate'), where)
         if 'columns' in converted:
@@ -102,13 +104,21 @@ def parse_columns(text: object) -> tuple[int | str, ...]:
         array, colon, numbers = part.rpartition(':')
         first, dash, last = numbers.partition('-')
         if dash and first.strip().isdecimal() and last.strip().isdecimal():
-            span = range(int(first), int(last) + 1)
-            if not 0 < len(span) <= MOST_COLUMNS:
-                raise SemiparamError(f'{part!r} names {len(span)} columns; expected 1 to {MOST_COLUMNS}.')
+            begin, count = _whole(first), _whole(last) + 1 - _whole(first)
+            if not 0 < count <= MOST_COLUMNS:
+                raise SemiparamError(f'{part!r} names {max(count, 0)} columns; expected 1 to {MOST_COLUMNS}.')
+            span = range(begin, begin + count)
             found += [f'{array}:{number}' for number in span] if colon else span
         else:
-            found.append(int(part) if part.isdecimal() else part)
+            found.append(_whole(part) if part.isdecimal() else part)
     return tuple(found)
+
+
+def _whole(digits: str) -> int:
+    try:
+        return int(digits)
+    except ValueError as error:  # thousands of digits
+        raise SemiparamError(f'{digits} is no column; expected a number from 1.') from error
 
 
 def _converted(name: str, value: Any, where: str) -> Any:
@@ -126,7 +136,9 @@ def _converted(name: str, value: Any, where: str) -> Any:
             raise SemiparamError(f'{where}: degrees is {value!r}; expected true or false.')
         return value
     if name in ('time_unit', 'wrench_frame'):
-        return str(value)
+        if not isinstance(value, str):
+            raise SemiparamError(f'{where}: {name} is {value!r}; expected a text.')
+        return value
     if name == 'period' and value is not None:
         return _positive(name, value, where)
     return _number(name, value, where)
@@ -135,7 +147,9 @@ def _converted(name: str, value: Any, where: str) -> Any:
 def _names(what: str, value: object, where: str) -> tuple[str, ...]:
     """Distinct names from a list, or from 'NAME,NAME' with or without blanks; anything else raises SemiparamError."""
     parts = value.split(',') if isinstance(value, str) else [] if value is None else value
-    names = tuple(str(part).strip() for part in parts) if isinstance(parts, list | tuple) else ('',)
+    texts = parts if isinstance(parts, list | tuple) else ('',)
+    names = tuple(str(part).strip() if isinstance(part, str | int) and not isinstance(part, bool) else ''
+                  for part in texts)
     if '' in names or len(set(names)) < len(names):
         raise SemiparamError(f'{where}: {what} is {value!r}; expected distinct names such as shoulder,elbow.')
     return names
@@ -156,8 +170,8 @@ def effort_factors(value: object, where: str) -> dict[str, float]:
 
 def _number(name: str, value: Any, where: str) -> float:
     try:
-        number = float(value)
-    except (TypeError, ValueError) as error:
+        number = float(value if not isinstance(value, bool) else '')
+    except (TypeError, ValueError, OverflowError) as error:
         raise SemiparamError(f'{where}: {name} is {value!r}; expected a number.') from error
     if not math.isfinite(number):
         raise SemiparamError(f'{where}: {name} is {value!r}; expected a finite number.')

@@ -189,7 +189,12 @@ def _section(body: object, name: str, path: str) -> dict[str, object]:
     parameters = body.get('ros__parameters') if isinstance(body, dict) else None
     if not isinstance(parameters, dict):
         raise SemiparamError(f"{path}: section '{name}' holds no 'ros__parameters:'; expected a ROS parameter file.")
-    values = dict(_flat(parameters, ''))
+    pairs = list(_flat(parameters, ''))
+    values = dict(pairs)
+    if len(values) < len(pairs):
+        names = [key for key, _ in pairs]
+        twice = next(key for key in values if names.count(key) > 1)
+        raise SemiparamError(f"{path}: section '{name}' gives {twice} twice; expected one value.")
     for key, value in values.items():
         if isinstance(value, list) and len({type(item) for item in value}) > 1:
             raise SemiparamError(f'{path}: {key} mixes types in one list, which ROS refuses; write 1.0, not 1, among '

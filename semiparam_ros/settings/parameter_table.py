@@ -66,7 +66,7 @@ class Parameter:
     def convert(self, value: object) -> object:
         """Meet the spellings of YAML and of ROS: 1 for 1.0, and empty or unset lists; anything else unchanged."""
         if self.kind == 'double' and _is_integer(value):
-            return float(value)
+            return _as_float(value)
         if self.kind.endswith('_array'):
             return _convert_items(value, self.kind)
         return value
@@ -125,12 +125,20 @@ def _is_integer(value: object) -> TypeGuard[int]:
 def _convert_items(value: object, kind: str) -> object:
     if value is None:
         return ()  # ROS reads an empty list in a file as an unset value
-    if isinstance(value, str) or not hasattr(value, '__iter__'):
+    if isinstance(value, str | bytes | set) or not hasattr(value, '__iter__'):
         return value
     items = tuple(value)
     if kind == 'string_array':
         return () if items == ('',) else items
-    return tuple(float(item) if _is_integer(item) else item for item in items)
+    return tuple(_as_float(item) if _is_integer(item) else item for item in items)
+
+
+def _as_float(value: int) -> int | float:
+    """The number as a float, unchanged where it is beyond all floats."""
+    try:
+        return float(value)
+    except OverflowError:
+        return value
 
 
 def _has_kind(value: object, kind: str) -> bool:

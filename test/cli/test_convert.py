@@ -394,6 +394,15 @@ def test_a_bad_table_ends_in_one_sentence_and_leaves_no_file(case, tmp_path, cap
     ('joints: [a, a]\n', "joints is ['a', 'a']; expected distinct names"),
     ('temperatures: {a: 1}\n', "temperatures is {'a': 1}; expected distinct names"),
     ('joints: "a,,b"\n', "joints is 'a,,b'; expected distinct names"),
+    ('joints: [on, off]\n', 'joints is [True, False]; expected distinct names'),  # were True and False
+    ('wrench_frame:\n', 'wrench_frame is None; expected a text'),  # was None
+    ('period: yes\n', 'period is True; expected a number'),  # was 1 s
+    ('rate: 10\nperiod: 5\n', 'both rate and period are given; expected one of them'),
+    ('joints: [a]\njoints: [b]\n', "in line 2: 'joints' is there twice"),
+    ('5: 6\n', "'5' is unknown"),  # a TypeError of difflib
+    ('columns: {time: 1-99999999999999999999}\n', 'names 99999999999999999999 columns'),  # an OverflowError
+    (f'columns: {{time: "{"9" * 5000}"}}\n', 'is no column; expected a number from 1'),  # a ValueError of int
+    (f'start: {"9" * 400}\n', 'expected a number'),  # an OverflowError
 ])
 def test_a_bad_columns_file_ends_in_one_sentence(text, sentence, tmp_path, capsys):
     columns = tmp_path / 'columns.yaml'

@@ -349,3 +349,35 @@ def test_a_bare_name_is_that_of_the_only_node_of_this_name_in_a_file(tmp_path):
     assert read_params(path, '/left/estimator')['variant'] == 'P'
     with pytest.raises(SemiparamError, match=r'several nodes \(.*, right/estimator\); expected those of one'):
         load_params(path)
+
+
+BOMB = '\n'.join([
+    'a: &a [x, x, x, x]', *(f'{new}: &{new} [*{old}, *{old}, *{old}, *{old}]' for old, new in ('ab', 'bc', 'cd'))])
+
+
+@pytest.mark.parametrize(('value', 'sentence'), [
+    ('tools: [2020-13-45]', "in line 3: '2020-13-45' is no timestamp."),  # a ValueError of datetime
+    ('forgetting: !!bool x', "in line 3: 'x' is no bool."),  # a KeyError
+    (f'features.count: {"9" * 5000}', 'in line 3:.* is no int.'),  # a ValueError of int
+    (f'forgetting: {"9" * 400}', 'forgetting is 999.*; expected a number, 0.5 to 1, or auto.'),  # an OverflowError
+    ('joints: !!set {a, b}', 'expected a list of texts.'),  # in another order each time
+    ('forgetting: 1.0\n    forgetting: 0.9', "in line 4: 'forgetting' is there twice."),  # was 0.9
+    ('forgetting: 1.0\nestimator: {ros__parameters: {noise: one}}', "in line 4: 'estimator' is there twice."),
+    ('learn.every: 2\n    learn: {every: 3}', "section 'estimator' gives learn.every twice; expected one value."),
+    (BOMB.replace('\n', '\n    '), 'its aliases hold more than the whole file.')])  # minutes with ten more lines
+def test_values_that_are_none_or_two_are_refused(value, sentence, tmp_path):
+    path = write(tmp_path / 'p.yaml', f'estimator:\n  ros__parameters:\n    {value}\n')
+    with pytest.raises(SemiparamError, match=sentence):
+        load_params(path)
+
+
+def test_an_alias_may_stand_for_what_is_named_elsewhere(tmp_path):
+    path = write(tmp_path / 'p.yaml', """
+        /**:
+          ros__parameters: {joints: &all [shoulder, elbow], output_joints: *all, outputs: effort}
+        estimator:
+          ros__parameters:
+            <<: {forgetting: 0.9}
+            noise: one""")
+    settings = load_params(path)
+    assert (settings.output_joints, settings.forgetting, settings.noise) == (('shoulder', 'elbow'), 0.9, 'one')
