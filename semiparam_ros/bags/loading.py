@@ -195,10 +195,10 @@ def _read(bag: BagReader, stream: SampleStream, needed: Collection[str], start: 
         kind = KINDS[message.topic]
         try:
             reading = kind.read(message.data)
+            samples += kind.feed(stream, reading.stamp, *reading.fields)
         except (AttributeError, TypeError, ValueError) as error:
             raise SemiparamError(f'{str(bag.path)!r}: the bag defines {message.type} in a way of its own, without what '
                                  f'{message.topic} is read for ({error}).') from error
-        samples += kind.feed(stream, reading.stamp, *reading.fields)
         if not frame_id and message.topic == layout.WRENCH:
             frame_id = reading.frame_id
     return frame_id, samples

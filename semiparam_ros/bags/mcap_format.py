@@ -83,6 +83,8 @@ def record_at(buffer: Buffer, offset: int, limit: int) -> tuple[int, int, int]:
     if offset + 9 > limit:
         raise Damage('the file ends inside a record')
     opcode, length = _PREFIX.unpack_from(buffer, offset)
+    if opcode == 0:
+        raise Damage('no record can begin here')
     if offset + 9 + length > limit:
         raise Damage('a record is longer than the file')
     return opcode, offset + 9, offset + 9 + length
@@ -151,6 +153,8 @@ def unpack(buffer: Buffer, chunk: Chunk, needs_crc: bool) -> bytes:
     packed = bytes(buffer[chunk.data_offset:chunk.data_offset + chunk.data_bytes])
     try:
         data = _decompress(packed, chunk)
+    except Damage:
+        raise
     except Exception as error:  # ZstdError, RuntimeError of lz4, MemoryError ...
         raise Damage('a chunk does not decompress') from error
     if len(data) != chunk.uncompressed_bytes:
@@ -161,9 +165,19 @@ def unpack(buffer: Buffer, chunk: Chunk, needs_crc: bool) -> bytes:
 
 
 def _decompress(packed: bytes, chunk: Chunk) -> bytes:
+    """No more bytes than the chunk says: what is packed may say otherwise."""
+    size = chunk.uncompressed_bytes
     if chunk.compression == 'zstd':
-        return zstandard.decompress(packed, max_output_size=chunk.uncompressed_bytes)
-    return bytes(lz4.frame.decompress(packed)) if chunk.compression == 'lz4' else packed
+        if zstandard.frame_content_size(packed) not in (-1, size):  # -1: the frame does not tell
+            raise Damage('a chunk has the wrong size')
+        return zstandard.decompress(packed, max_output_size=size)
+    if chunk.compression == 'lz4':
+        reader = lz4.frame.LZ4FrameDecompressor()
+        data = bytes(reader.decompress(packed, max_length=size + 1))
+        if not reader.eof:
+            raise Damage('a chunk has the wrong size')
+        return data
+    return packed
 
 
 def entry(buffer: Buffer, start: int, end: int) -> Entry:

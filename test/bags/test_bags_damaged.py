@@ -6,16 +6,21 @@ Each case damages the same recording of 6001 messages; `pytest -s -k as_far_as_i
 import os
 import random
 import signal
+import struct
 import subprocess
 import sys
+import tracemalloc
 from pathlib import Path
 
+import lz4.frame
 import pytest
+import zstandard
 from mcap.reader import make_reader
 from mcap.records import Chunk, Message
 from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import Writer
 
+from semiparam_ros.bags.mcap_format import MAGIC
 from semiparam_ros.bags.reader import open_bag
 from semiparam_ros.bags.writer import BagWriter
 from semiparam_ros.errors import SemiparamError
@@ -295,3 +300,34 @@ def test_a_recording_directory_whose_recorder_was_killed_is_read(intact, tmp_pat
     messages, losses = read(folder)
     assert len(messages) == INTACT - sizes[-1]
     assert 'rosbag2_0.mcap' in losses.sentence
+
+
+def packed(data: bytes, compression: str, claimed: int) -> bytes:
+    """An MCAP file of one chunk of these records, which says that they are so many bytes."""
+    def record(opcode: int, body: bytes) -> bytes:
+        return bytes([opcode]) + struct.pack('<Q', len(body)) + body
+
+    small = zstandard.compress(data) if compression == 'zstd' else lz4.frame.compress(data)
+    chunk = struct.pack('<QQQII', 0, 0, claimed, 0, len(compression)) + compression.encode()
+    return b''.join([MAGIC, record(1, bytes(8)), record(6, chunk + struct.pack('<Q', len(small)) + small),
+                     record(15, bytes(4)), record(2, bytes(20)), MAGIC])
+
+
+@pytest.mark.parametrize('compression', ['zstd', 'lz4'])
+def test_a_chunk_that_holds_more_than_it_says_takes_no_more_memory(compression, tmp_path):
+    """100 kB of it took 3 GB."""
+    path = tmp_path / 'a.mcap'
+    path.write_bytes(packed(bytes(2**25), compression, 1000))
+    tracemalloc.start()
+    with pytest.raises(SemiparamError, match='a chunk has the wrong size'):
+        open_bag(path)
+    assert tracemalloc.get_traced_memory()[1] < 2**21
+    tracemalloc.stop()
+
+
+def test_zeros_are_no_records(tmp_path):
+    """Each nine of them were one without a content: a chunk of 30 kB took minutes."""
+    path = tmp_path / 'a.mcap'
+    path.write_bytes(packed(bytes(9 * 1000), 'zstd', 9 * 1000))
+    with pytest.raises(SemiparamError, match='no record can begin here'):
+        open_bag(path)

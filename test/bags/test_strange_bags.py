@@ -2,6 +2,7 @@
 
 import pytest
 from mcap.writer import Writer as McapWriter
+from mcap_ros2._dynamic import serialize_dynamic
 
 from semiparam_ros.bags import schemas
 from semiparam_ros.bags.loading import load_samples
@@ -75,6 +76,37 @@ def test_a_definition_that_cannot_be_read_is_that_of_jazzy(tmp_path, states):
 def test_what_cannot_be_decoded_is_one_sentence(tmp_path, states, sentence):
     with pytest.raises(SemiparamError, match=sentence):
         load_samples(strange(tmp_path, **states), SETTINGS)
+
+
+HEADER = b"""std_msgs/Header header
+%s
+==========
+MSG: std_msgs/Header
+builtin_interfaces/Time stamp
+string frame_id
+==========
+MSG: builtin_interfaces/Time
+int32 sec
+uint32 nanosec""".replace(b'=' * 10, b'=' * 80)
+
+
+@pytest.mark.parametrize('fields', [{'position': 'float64'}, {'position': 'string[]'}, {'name': 'uint8[]'}])
+def test_fields_of_other_kinds_are_one_sentence(tmp_path, fields):
+    """They ended in a TypeError of len() or of sum()."""
+    kinds = {'name': 'string[]', **dict.fromkeys(('position', 'velocity', 'effort'), 'float64[]'), **fields}
+    text = HEADER % b'\n'.join(f'{kind} {name}'.encode() for name, kind in kinds.items())
+    values = {'float64': 1.0, 'float64[]': [1.0] * len(JOINTS), 'string[]': list(JOINTS), 'uint8[]': [1] * len(JOINTS)}
+    raw = serialize_dynamic(STATE, text.decode())[STATE](
+        {'header': {'stamp': {'sec': 1, 'nanosec': 0}, 'frame_id': ''},
+         **{name: values[kind] for name, kind in kinds.items()}})
+    with (tmp_path / 'a.mcap').open('wb') as file:
+        writer = McapWriter(file)
+        writer.start('ros2', 'test')
+        channel = writer.register_channel(STATES, 'cdr', writer.register_schema(STATE, 'ros2msg', text))
+        writer.add_message(channel, 1, raw, 1)
+        writer.finish()
+    with pytest.raises(SemiparamError, match=f'defines {STATE} in a way of its own'):
+        load_samples(tmp_path / 'a.mcap', Settings(outputs='effort', joints=JOINTS))
 
 
 def test_convert_changes_nothing_in_a_definition_of_ones_own(tmp_path, capsys):
