@@ -372,6 +372,9 @@ def read(urdf=ODD_ARM, joints=ODD_JOINTS, outputs='wrench', frame='mid_link_ft',
     ({'urdf': ODD_ARM.replace('type="revolute"', 'type="revolutionary"')},
      "joint 'elbow' has type 'revolutionary'"),
     ({'urdf': ODD_ARM.replace('mass value="0.9"', 'mass value="nan"')}, 'expected 1 finite number'),
+    ({'urdf': ODD_ARM.replace('mass value="0.9"', 'mass value="1_0"')}, 'expected 1 finite number'),  # was none
+    ({'urdf': ODD_ARM.replace('mass value="0.9"', 'mass value="\u0669"')}, 'expected 1 finite number'),
+    ({'urdf': ODD_ARM + '<!-- \ud800 -->'}, 'not valid XML'),  # as YAML has it: "\ud800"
     ({'urdf': ODD_ARM.replace('mass value="0.9"', 'mass value="-0.9"')}, "link 'forearm' has a negative mass"),
     ({'urdf': ODD_ARM.replace('<mass value="0.9"/>', '')}, "link 'forearm' has an inertial without mass value"),
     ({'urdf': ODD_ARM.replace('xyz="0 0 0.2"', 'xyz="0 0.2"')}, "joint 'elbow' has origin xyz"),
@@ -496,3 +499,13 @@ def test_what_the_description_says_of_friction_refuses_no_robot():
     body = RigidBody.from_urdf(rubbing, ODD_JOINTS, 'effort')
     plain = RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, 'effort')
     np.testing.assert_array_equal(body.base_parameters, plain.base_parameters)
+
+
+@pytest.mark.parametrize(('before', 'after'), [
+    ('mass value="0.9"', 'mass value=" 0.9\n"'),  # the body was without any mass
+    *[('axis xyz="0 1 0"', f'axis xyz="0 {length} 0"') for length in ('1e-200', '1e200', '5e-324')]])  # moved nothing
+def test_spaces_about_a_number_and_the_length_of_an_axis_change_nothing(before, after):
+    state = states(4, 1)[0]
+    assert before in ODD_ARM
+    read_alike = read(ODD_ARM.replace(before, after))
+    np.testing.assert_allclose(predicted(read_alike, state), predicted(read(), state), **EXACT)

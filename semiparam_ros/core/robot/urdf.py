@@ -43,7 +43,7 @@ def parse(urdf: str) -> ElementTree.Element:
         raise SemiparamError(f'the robot description has {len(urdf)} characters; expected at most {MOST_CHARACTERS}.')
     try:
         robot = ElementTree.fromstring(urdf)
-    except ElementTree.ParseError as error:
+    except (ElementTree.ParseError, UnicodeEncodeError) as error:
         raise SemiparamError(f'the robot description is not valid XML ({error}); expected a URDF.') from error
     _check_depth(robot)
     if robot.tag != 'robot' or robot.find('link') is None:
@@ -211,7 +211,10 @@ def _check_numbers(element: ElementTree.Element) -> None:
             if text is not None and not _is_finite(text, count):
                 raise _fault(f"{element.tag} '{element.get('name')}' has {part.tag} {attribute}=\"{text}\"; expected "
                              f'{count} finite number{"s" if count > 1 else ""}.')
-            if text is not None and part.tag == 'origin' and max(map(abs, map(float, text.split()))) > FARTHEST_M:
+            if text is None:
+                continue
+            part.set(attribute, ' '.join(text.split()))  # a link of the mass " 1.5" has none to the reader
+            if part.tag == 'origin' and max(map(abs, map(float, text.split()))) > FARTHEST_M:
                 raise _fault(f"{element.tag} '{element.get('name')}' has origin {attribute}=\"{text}\"; expected "
                              f'numbers up to {FARTHEST_M:g}.')
 
@@ -222,6 +225,10 @@ def _check_axis(element: ElementTree.Element) -> None:
         return
     if not any(float(word) for word in str(axis.get('xyz', '')).split()):
         raise _fault(f"joint '{element.get('name')}' moves about the axis \"{axis.get('xyz')}\"; expected a direction.")
+    values = [float(word) for word in str(axis.get('xyz')).split()]
+    exponent = math.frexp(max(map(abs, values)))[1] - 1
+    # Squares of 1e-200 are zero, and those of 1e200 infinite: to the reader, such an axis is none.
+    axis.set('xyz', ' '.join(repr(math.ldexp(value, -exponent)) for value in values))
 
 
 def _check_inertial(element: ElementTree.Element) -> None:
@@ -239,6 +246,8 @@ def _check_inertial(element: ElementTree.Element) -> None:
 
 
 def _is_finite(text: str, count: int) -> bool:
+    if '_' in text or not text.isascii():  # Python reads 1_0 and digits of other scripts
+        return False
     try:
         values = [float(word) for word in text.split()]
     except ValueError:
@@ -258,5 +267,5 @@ def _widen_limit(joint: ElementTree.Element) -> None:
         joint.remove(limit)
         text = limit.get('effort', '')
         if _is_finite(text, 1) and 0.0 < float(text) < float(NO_LIMIT):
-            effort = text
+            effort = text.strip()
     ElementTree.SubElement(joint, 'limit', lower=f'-{NO_LIMIT}', upper=NO_LIMIT, effort=effort, velocity=NO_LIMIT)
