@@ -15,6 +15,7 @@ import os
 import sys
 import traceback
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -39,6 +40,7 @@ def main(argv: Sequence[str] | None = None, prog: str = 'semiparam') -> int:
     """Run one sub-command and return its exit code: 2, with one sentence on stderr, for anything a user can mend."""
     # The matrices are small: a second linear algebra thread only fights with the executor (read when numpy loads).
     os.environ.setdefault('OMP_NUM_THREADS', '1')
+    _open_standard_streams()
     # At the end everything goes with the process: to look through it first takes a third of a second.
     atexit.register(gc.freeze)
     arguments, ros_arguments = split_ros_arguments(sys.argv[1:] if argv is None else argv)
@@ -66,6 +68,14 @@ def main(argv: Sequence[str] | None = None, prog: str = 'semiparam') -> int:
         return _unexpected(prog, error) if _ours(error) else _complain(prog, _missing(error), BAD_INPUT)
     except Exception as error:  # Ctrl-C in the midst of an import may be its cause
         return INTERRUPTED if isinstance(error.__cause__, KeyboardInterrupt) else _unexpected(prog, error)
+
+
+def _open_standard_streams() -> None:
+    """Put the null device where a stream was closed (`semiparam ... >&-`), or the next file that is opened becomes what
+    libraries print to."""
+    for name, mode in (('stdin', 'r'), ('stdout', 'w'), ('stderr', 'w')):
+        if getattr(sys, name) is None:
+            setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_RDWR), mode, encoding='utf-8'))
 
 
 def estimator() -> int:
@@ -152,8 +162,9 @@ def summary(command: str) -> str:
 
 
 def _complain(prog: str, sentence: str, code: int) -> int:
-    """One sentence on standard error."""
-    print(f'{prog}: {sentence}', file=sys.stderr)
+    """One sentence on standard error; the code tells as much where that cannot be written."""
+    with suppress(OSError):
+        print(f'{prog}: {sentence}', file=sys.stderr, flush=True)
     return code
 
 

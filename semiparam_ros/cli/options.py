@@ -8,7 +8,7 @@ import math
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 from rich import box
 from rich.console import Console
@@ -20,10 +20,18 @@ from semiparam_ros.errors import SemiparamError
 
 SCHEMA = 1
 
-console = Console(stderr=True, markup=False, highlight=False)
+class _Console(Console):
+    """A console that leaves it to `main` to end the command when its reader has left."""
+
+    def on_broken_pipe(self) -> NoReturn:
+        """Raise what is being handled; rich would end with the code of a fault of the program."""
+        raise
+
+
+console = _Console(stderr=True, markup=False, highlight=False)
 """Progress and remarks; standard output is left to results."""
 
-output = Console(markup=False, highlight=False)
+output = _Console(markup=False, highlight=False)
 """Results: tables that a user may pipe into a file."""
 
 

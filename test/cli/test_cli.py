@@ -200,6 +200,30 @@ def test_a_reader_who_leaves_is_no_error():
     assert process.wait(timeout=60) == 141
 
 
+TABLE = (*SEMIPARAM, 'convert', '--joints', 'a', '--position', '1', '--rate', '9')
+
+
+def test_the_reader_of_a_table_of_results_may_leave_too():
+    """The console of rich ended with 1, as for a fault of the program."""
+    script = ('import sys; from semiparam_ros.cli import main, options\n'
+              "main._dispatch = lambda *_: [options.tell('x' * 100) for _ in range(10_000)] and 0\n"
+              'sys.exit(main.main([]))')
+    process = subprocess.Popen([sys.executable, '-c', script], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    process.stdout.close()
+    assert process.stderr.read() == b''
+    assert process.wait(timeout=60) == 141
+
+
+@pytest.mark.parametrize('closed', ['>&-', '2>&-', '>&- 2>&-', '<&- >&- 2>&-', '2>/dev/full'])
+def test_closed_streams_are_no_fault(closed, tmp_path):
+    """After all was done the command ended with an internal error; a file could get the number of standard error."""
+    (tmp_path / 'table.txt').write_text('1\n2\n')
+    command = ' '.join([*TABLE, 'table.txt', 'out.mcap', closed])
+    done = subprocess.run(['bash', '-c', command], cwd=tmp_path, capture_output=True, timeout=60, check=False)
+    assert done.returncode == (2 if 'full' in closed else 0) and b'internal error' not in done.stderr
+    assert (tmp_path / 'out.mcap').read_bytes()[-8:] == b'\x89MCAP0\r\n'
+
+
 @pytest.mark.parametrize('argv, ours, theirs', [
     (['replay', 'bag'], ['replay', 'bag'], []),
     (['run', '--ros-args', '-r', 'a:=b'], ['run'], ['--ros-args', '-r', 'a:=b']),
