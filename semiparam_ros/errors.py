@@ -25,6 +25,9 @@ def listed(names: Sequence[str], most: int = 8) -> str:
 
 
 def shortened(text: str, most: int = 600) -> str:
-    """A text without its middle where it is too long to be read."""
+    """A text on one line, without its middle where it is too long to be read. What a terminal would obey, such as the
+    colours of a name from a stranger's file, is shown as Python writes it."""
+    if not text.isprintable():
+        text = ''.join(letter if letter.isprintable() else repr(letter)[1:-1] for letter in text)
     half = (most - 5) // 2
     return text if len(text) <= most else f'{text[:half]} ... {text[-half:]}'

@@ -335,7 +335,8 @@ class SampleStream:
         missing = [joint for joint in self.joints if list(names).count(joint) != 1]
         if missing:
             self._named.update(set(self.joints).intersection(names))
-            end = '; others name the rest: publish all in one message.' if self.apart else '.'
+            elsewhere = self.apart and missing[0] not in names
+            end = '; others name the rest: publish all in one message.' if elsewhere else '.'
             self._refuse('missing_joint', f'{what} at {in_seconds(stamp)} s must name joint {missing[0]!r} once; it '
                                           f'names {listed(names)}{end}')
             return None

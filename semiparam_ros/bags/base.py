@@ -18,6 +18,8 @@ from semiparam_ros.errors import SemiparamError
 
 SHOWN = 4
 """Ranges of bytes that a sentence names."""
+PLAIN_CDR = (b'\0\0', b'\0\1')
+"""First bytes of a message in XCDR1, whose numbers decoders look for; those of XCDR2 stand at other places."""
 ORDERS = ('log', 'publish', 'header')
 
 
@@ -176,6 +178,8 @@ class BagReader(ABC):
                 yield message
                 continue
             try:
+                if message.raw[:2] not in PLAIN_CDR:
+                    raise ValueError('it is laid out otherwise')
                 data = decode(message.raw)
             except Exception:  # bytes that do not fit their type fail in any way: struct, Unicode, memory ...
                 self._undecodable[message.topic] = self._undecodable.get(message.topic, 0) + 1

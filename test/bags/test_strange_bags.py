@@ -1,5 +1,7 @@
 """Sound MCAP files of strangers: topics of two types, other encodings, definitions that are none."""
 
+import struct
+
 import pytest
 from mcap.writer import Writer as McapWriter
 from mcap_ros2._dynamic import serialize_dynamic
@@ -62,6 +64,41 @@ def test_messages_of_another_type_are_passed_over_and_told(tmp_path, capsys):
 def test_a_definition_that_cannot_be_read_is_that_of_jazzy(tmp_path, states):
     """As internal error: 'NoneType' object has no attribute 'header'."""
     assert len(load_samples(strange(tmp_path, **states), SETTINGS).samples) == 40
+
+
+def recorded(path, topic, *messages, names=('a',)):
+    """A bag of joint states of these bytes, or of these joints."""
+    raw = messages or [schemas.encoder(STATE)({'header': {'stamp': {'sec': second, 'nanosec': 0}, 'frame_id': ''},
+                                               'name': list(names), 'position': [0.5] * len(names),
+                                               'velocity': [], 'effort': [0.1] * len(names)}) for second in (1, 2)]
+    with path.open('wb') as file:
+        writer = McapWriter(file)
+        writer.start('ros2', 'test')
+        channel = writer.register_channel(topic, 'cdr', writer.register_schema(STATE, 'ros2msg', DEFINITION))
+        for number, each in enumerate(raw):
+            writer.add_message(channel, number, each, number)
+        writer.finish()
+    return path
+
+
+def test_messages_laid_out_otherwise_are_not_taken_for_what_ros_records(tmp_path):
+    """Numbers of XCDR2 stand at multiples of four bytes: its message was read as one without efforts."""
+    body = (struct.pack('<iI', 1, 0) + struct.pack('<I', 1) + b'\0\0\0\0'  # stamp, frame
+            + struct.pack('<II', 1, 2) + b'a\0\0\0' + 3 * struct.pack('<Id', 1, 0.5))
+    path = recorded(tmp_path / 'a.mcap', STATES, b'\0\7\0\0' + body)
+    with pytest.raises(SemiparamError, match='1 on /joint_states do not decode'):
+        load_samples(path, Settings(outputs='effort', joints=('a',)))
+
+
+@pytest.mark.parametrize(('topic', 'names', 'sentence'), [
+    ('/arm\n\x1b[31m', 'a', r'it has /arm\\n\\x1b\[31m \(semiparam convert'),  # the terminal went on in red
+    (STATES, ['\x1b]0;b\7'], r'names \\x1b\]0;b\\x07; expected a'),
+    (STATES, 'aa', r"must name joint 'a' once; it names a, a\.$")])  # ...; others name the rest
+def test_names_are_shown_as_they_are(topic, names, sentence, tmp_path):
+    path = recorded(tmp_path / 'a.mcap', topic, names=names)
+    with pytest.raises(SemiparamError, match=sentence) as error:
+        load_samples(path, Settings(outputs='effort', joints=('a',)))
+    assert str(error.value).isprintable()
 
 
 @pytest.mark.parametrize(('states', 'sentence'), [
