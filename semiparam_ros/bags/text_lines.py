@@ -57,13 +57,14 @@ def filled(cells: list[str]) -> list[str]:
 def _cells(line: str, where: str) -> list[str]:
     """Cells of a line; the first and the last may be empty, as over the row numbers of a table. What stands in quotes
     is one."""
-    bare = re.sub('"[^"]*"', '', line)
-    separator = next((mark for mark in ';,\t' if mark in bare.strip()), None)
-    if separator is None or bare == line:
+    bare = re.sub('"[^"]*"', '""', line).strip()
+    separator = next((mark for mark in ';,\t' if mark in bare), None)
+    if '""' not in bare:
         cells = line.split(separator)
     else:
         try:
-            cells = next(csv.reader([line], delimiter=separator, skipinitialspace=True))
+            cells = next(csv.reader([line if separator else line.strip()], delimiter=separator or ' ',
+                                    skipinitialspace=True))
         except csv.Error as error:
             raise SemiparamError(f'{where} cannot be read: {error}.') from error
     return [cell.strip().strip('"') for cell in cells]

@@ -8,7 +8,7 @@ import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from decimal import Decimal
-from itertools import chain
+from itertools import chain, islice
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,7 +19,7 @@ from semiparam_ros.bags.sample_messages import SampleMessage
 from semiparam_ros.bags.text_lines import filled, number_in, text_lines
 from semiparam_ros.bags.writer import BagWriter
 from semiparam_ros.core.stamps import NANOSECONDS
-from semiparam_ros.errors import SemiparamError
+from semiparam_ros.errors import SemiparamError, listed
 from semiparam_ros.settings.yaml_file import read_yaml
 
 TIME_UNITS = {'s': NANOSECONDS, 'ms': 10**6, 'us': 10**3, 'ns': 1}
@@ -222,6 +222,9 @@ def _parts(column: int | str, header: Sequence[str]) -> list[int | str]:
 
 def _index(column: int | str, header: Sequence[str], where: str) -> int:
     if isinstance(column, int):
+        if str(column) in header and header[column - 1:column] != [str(column)]:
+            raise SemiparamError(f'{where}: column {column} is not the one that the header calls {column}; expected '
+                                 'names that are no numbers, or # before the header.')
         return column - 1
     if column not in header:
         raise SemiparamError(f'{where} has no column {column!r}; its header has {", ".join(header) or "no names"}.')
@@ -291,21 +294,22 @@ def read_rows(path: str | os.PathLike[str], layout: TableLayout,
     name = repr(str(path))
     arrays = holds_arrays(Path(path))
     numbers = array_lines(Path(path)) if arrays else text_lines(Path(path), progress)
-    first = next(numbers, None)
-    if first is None:
+    lines = list(islice(numbers, 2))
+    if not lines:
         return
-    header = first[1] if arrays or _holds_names(first[1], layout) else []
+    header = lines[0][1] if arrays or _holds_names(lines, layout, name) else []
     layout = layout.spread(header)
     unknown = [column for columns in layout.columns.values() for column in columns
                if isinstance(column, str) and column not in header]
     if unknown and arrays:
         raise_unmatched(Path(path), unknown[0])
     layout = layout.checked()
-    indices = {role: [_index(column, header, name) for column in columns]
+    indices = {role: [_index(str(column) if arrays and str(column) in header else column, header, name)
+                      for column in columns]
                for role, columns in layout.columns.items()}
     width = 1 + max(index for columns in indices.values() for index in columns)
-    alike = first if _has_names(layout) or not header else None
-    for number, (line, cells) in enumerate(numbers if header else chain([first], numbers)):
+    alike = lines[0] if _has_names(layout) or not header else None
+    for number, (line, cells) in enumerate(chain(lines[bool(header):], numbers)):
         where = f'{name} line {line}'
         if len(cells) < width:
             raise SemiparamError(f'{where} has {len(cells)} columns; expected at least {width}, the highest that is '
@@ -316,13 +320,33 @@ def read_rows(path: str | os.PathLike[str], layout: TableLayout,
         yield _row(layout, named, number, where)
 
 
-def _holds_names(cells: Sequence[str], layout: TableLayout) -> bool:
-    """Tell whether the first line is a header: a row of numbers that lacks some, in words, is none."""
+def _holds_names(lines: Sequence[tuple[int, list[str]]], layout: TableLayout, where: str) -> bool:
+    """Tell by the first lines whether the first one of all is a header: a row of numbers that lacks some, in words, is
+    none. Raises SemiparamError where it may be both."""
+    (line, cells), following = lines[0], lines[-1][1]
     if all(map(_is_number, filter(None, cells))):
         return False
-    asked = layout.columns.get('time') or [column for columns in layout.columns.values() for column in columns]
-    return _has_names(layout) or not any(
-        _is_number(cells[column - 1]) for column in asked if isinstance(column, int) and 0 < column <= len(cells))
+    if _has_names(layout):
+        return True
+    told = _numbers_asked(cells, layout)
+    if not any(told.get('time') or chain(*told.values())):
+        whole = _numbers_asked(' '.join(cells).split(), layout)  # a comma in a remark may seem to be what separates
+        may_be_row = all(whole.values()) and all(chain(*whole.values()))
+    else:
+        may_be_row = all(chain(*told.values())) and any(
+            cell and not _is_number(cell) and _is_number(below) for cell, below in zip(cells, following, strict=False))
+        if not may_be_row:
+            return False
+    if may_be_row:
+        raise SemiparamError(f'{where} line {line} may be a header or a row ({listed(cells)}); expected # before a '
+                             'header, and quotes about words.')
+    return True
+
+
+def _numbers_asked(cells: Sequence[str], layout: TableLayout) -> dict[str, list[bool]]:
+    """Whether there is a number in each column that has one for its name."""
+    return {role: [_is_number(cells[int(column) - 1]) for column in columns if 0 < int(column) <= len(cells)]
+            for role, columns in layout.columns.items()}
 
 
 def _has_names(layout: TableLayout) -> bool:

@@ -175,11 +175,15 @@ ONE_JOINT = ('--joints', 'a', '--time', '1', '--position', '2')
     ('1_1,1_2\n3,4\n', [(3.0, 4.0)]),  # names of axes were the numbers 11 and 12
     ('1,2,,\n3,4,5,\n5,6\n', [(1.0, 2.0), (3.0, 4.0), (5.0, 6.0)]),
     ('t\tq\tremark\n1\t2\t\n', [(1.0, 2.0)]),
+    ('"1"\t"2"\t"a, b"\n"3"\t"4"\t""\n', [(1.0, 2.0), (3.0, 4.0)]),  # was cut at every blank
+    ('t "a b" q\n1 "x y" 2\n', [(1.0, 2.0)]),
+    ('remark time 9\nidle 1 2\n"on" 3 4\n', [(1.0, 2.0), (3.0, 4.0)]),
     ('1e-99999999999999999999,2\n3,4\n', [(0.0, 2.0), (3.0, 4.0)])])  # was a decimal.InvalidOperation
 def test_rows_are_those_that_the_file_has(text, rows, tmp_path):
     path, bag = tmp_path / 'table.txt', tmp_path / 'out.mcap'
     path.write_bytes(text.encode())
     columns = ('--time', 't', '--position', 'q') if text.startswith('t') else ONE_JOINT[2:]
+    columns = ('--time', '2', '--position', '3') if text.startswith('remark') else columns
     assert convert(path, bag, *ONE_JOINT[:2], *columns) == 0
     assert [(1e-9 * state.log_time, *state.data.position) for state in messages(bag, '/joint_states')] == rows
 
@@ -194,6 +198,9 @@ NAMED = ('--joints', 'a', '--time', 't', '--position', 'q')
     ('"t","q"\n"1",0.1,2\n', NAMED, 'line 2 has 3 columns, but line 1 has 2'),  # row numbers were times
     ('t [s] q v\n1 2 3\n', NAMED, 'line 2 has 3 columns, but line 1 has 4'),  # velocities were positions
     ('title\n1 2 3\n2 2 33 2 3\n', ONE_JOINT, 'line 3 has 5 columns, but line 2 has 3'),  # two rows run together
+    ('1\t2\ta, b\n3\t4\t5\n', ONE_JOINT, 'line 1 may be a header or a row'),  # was passed by as a header
+    ('1,2,NA\n3,4,5\n', ONE_JOINT, 'line 1 may be a header or a row (1, 2, NA)'),
+    ('time,0,1,2\n0,5,6,7\n', ONE_JOINT, 'column 1 is not the one that the header calls 1'),
     ('1,"' + 'x' * 200_000 + '"\n', ONE_JOINT, 'line 1 cannot be read: field larger than field limit')])
 def test_a_column_that_may_be_another_is_refused(text, options, sentence, tmp_path, capsys):
     assert sentence in refusal(capsys, 'convert', table(tmp_path, text), tmp_path / 'out.mcap', *options)
@@ -325,6 +332,17 @@ def test_a_cell_array_or_long_doubles_beside_others_do_no_harm(tmp_path):
         assert convert(tmp_path / name, bag, '--joints', 'hip,knee', '--time', 't', '--position', 'q') == 0
         states = messages(bag, '/joint_states')
         np.testing.assert_array_equal([state.data.position for state in states], quantities()['q'])
+
+
+def test_tables_called_by_numbers_are_those_that_are_named(tmp_path):
+    """Of twelve tables 10.csv stood second, and was taken for 2.csv."""
+    folder, bag = tmp_path / 'run', tmp_path / 'out.mcap'
+    folder.mkdir()
+    for number in range(1, 13):
+        (folder / f'{number}.csv').write_text(f'{number}\n{number}\n')
+    names = ','.join(f'j{number}' for number in range(1, 13))
+    assert convert(folder, bag, '--joints', names, '--position', '1-12', '--rate', '9') == 0
+    assert messages(bag, '/joint_states')[0].data.position == list(range(1, 13))
 
 
 def test_two_tables_of_one_name_in_a_folder_are_refused(tmp_path, capsys):
