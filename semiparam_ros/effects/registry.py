@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 
+from semiparam_ros.core import json_text
 from semiparam_ros.effects import cables, drive, friction, geometry, loads, periodic, sensor, temperature, terms
 from semiparam_ros.effects.base import Effect, spelling
 from semiparam_ros.errors import SemiparamError
@@ -113,7 +114,7 @@ def effect_from_text(text: str, shared: tuple[float, ...] = ()) -> Effect:
 
 def _values(text: str, part: str) -> dict[str, object]:
     try:
-        values = json.loads(part)
+        values = json_text.parse(part)
     except (ValueError, RecursionError) as error:
         raise SemiparamError(f"effect '{text:.80}' does not end in a JSON object of numbers ({error}).") from error
     return dict(values)

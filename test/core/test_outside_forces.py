@@ -181,6 +181,7 @@ def test_a_tool_adds_what_a_description_with_it_has_more(text, outputs):
 
 @pytest.mark.parametrize(('text', 'sentence'), [
     ('', 'cannot be read; expected LINK'), ('ft', 'cannot be read'), ('ft {"mass": }', 'cannot be read'),
+    ('ft {"mass": 1, "mass": 2}', 'cannot be read'),  # was 2 kg
     ('ft {"weight": 1}', 'cannot be read'), ('{"mass": 1}', 'cannot be read'), ('ft [1]', 'cannot be read'),
     ('ft {"mass": true}', 'expected 1 finite number of'), ('ft {"mass": NaN}', 'expected 1 finite number of'),
     ('ft {"mass": 1, "centre": [0, 0]}', 'expected 3 finite numbers'), ('ft {"mass": 1e9}', 'of at most 10000'),

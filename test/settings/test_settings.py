@@ -358,6 +358,7 @@ BOMB = '\n'.join([
 @pytest.mark.parametrize(('value', 'sentence'), [
     ('tools: [2020-13-45]', "in line 3: '2020-13-45' is no timestamp."),  # a ValueError of datetime
     ('forgetting: !!bool x', "in line 3: 'x' is no bool."),  # a KeyError
+    ("""effects: ['payload@r_hand{"mass": 1, "mass": 2}']""", "'mass' is there twice"),  # was 2 kg
     (f'features.count: {"9" * 5000}', 'in line 3:.* is no int.'),  # a ValueError of int
     (f'forgetting: {"9" * 400}', 'forgetting is 999.*; expected a number, 0.5 to 1, or auto.'),  # an OverflowError
     ('joints: !!set {a, b}', 'expected a list of texts.'),  # in another order each time

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 
+from semiparam_ros.core import json_text
 from semiparam_ros.core.robot import urdf as urdf_tree
 from semiparam_ros.core.robot.frames import load_in_base
 from semiparam_ros.core.robot.rigid_body import RigidBody, build
@@ -93,7 +94,7 @@ def _from_urdf(text: str) -> tuple[str, pin.Inertia]:
 def _from_json(text: str) -> tuple[str, pin.Inertia]:
     link, brace, tail = text.partition('{')
     try:
-        values: Any = json.loads(brace + tail)
+        values: Any = json_text.parse(brace + tail)
     except (ValueError, RecursionError):
         values = None
     if not link.strip() or not isinstance(values, dict) or 'mass' not in values or not set(values) <= set(KEYS):
