@@ -60,6 +60,13 @@ def test_any_sentence_can_be_a_comment(text):
     ElementTree.fromstring(f'<a>{comment(kept)}</a>')
 
 
+def test_elements_of_an_entity_are_refused():
+    """Its attributes were written into the end tag behind it: the file was no XML any more."""
+    text = '<!DOCTYPE r [<!ENTITY body "<mass value=\'1\'/>">]><r><link>&body;</link></r>'
+    with pytest.raises(SemiparamError, match=r'the model holds <mass> by an entity \(&body;\); expected it to be'):
+        Editor(text, 'the model')
+
+
 def test_what_is_no_xml_is_refused():
     with pytest.raises(SemiparamError, match='the robot description is not valid XML'):
         Editor('<robot>', 'the robot description')
