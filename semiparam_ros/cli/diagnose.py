@@ -86,6 +86,7 @@ def run(args: argparse.Namespace) -> int:
     for name, default in SCOREBOARD.items():
         if getattr(args, name) != default:
             raise SemiparamError(f'--{name.replace("_", "-")} is for --benchmark, which is missing.')
+    options.require_distinct(read)
     from semiparam_ros.cli.evaluate import chosen_variants
     from semiparam_ros.settings import load_params
 

@@ -83,6 +83,17 @@ def require_places(*paths: Path | None, inputs: Iterable[Path | None] = ()) -> N
         require_writable(path)
 
 
+def require_distinct(recordings: Iterable[Path | None]) -> None:
+    """Raises SemiparamError where one recording is named twice: it would count as two that agree, and what was fitted
+    to it would be judged on it."""
+    seen = set[str]()
+    for path in recordings:
+        if path is not None:
+            if os.path.realpath(path) in seen:
+                raise SemiparamError(f'{path} is named twice; expected another recording.')
+            seen.add(os.path.realpath(path))
+
+
 def require_counts(args: argparse.Namespace, *options: str) -> None:
     """Raises SemiparamError where an option that counts something is below one."""
     for option in options:

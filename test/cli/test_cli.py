@@ -243,6 +243,15 @@ def test_ros_arguments_reach_the_command(command, monkeypatch):
     assert seen == [['--ros-args', '-r', '__ns:=/left']]
 
 
+@pytest.mark.parametrize('beside', [('{}',), ('--judge', '{}')])
+def test_a_recording_does_not_judge_what_was_fitted_to_it(beside, tmp_path, repository, capsys):
+    """The error after was called one on another recording; twice the same counted as two."""
+    bag, link = repository / 'bags/icub_xy.mcap', tmp_path / 'link.mcap'
+    link.symlink_to(bag)
+    assert cli.main(['diagnose', str(bag), *(word.format(link) for word in beside)]) == 2
+    assert f'{link} is named twice; expected another recording.' in capsys.readouterr().err
+
+
 def test_json_is_versioned_and_takes_numpy(tmp_path):
     write_json(tmp_path / 'a.json', {'nmse': np.array([0.5, 1.0]), 'samples': np.int64(3), 'deep': {'x': (1, 2)}})
     assert json.loads((tmp_path / 'a.json').read_text()) == {
