@@ -75,7 +75,8 @@ class TableLayout:
         if {'rate', 'period'} <= converted.keys():
             raise SemiparamError(f'{where}: both rate and period are given; expected one of them.')
         if 'rate' in converted:
-            converted['period'] = 1.0 / _positive('rate', converted.pop('rate'), where)
+            rate = _positive('rate', converted.pop('rate'), where)
+            converted['period'] = _positive('the period of this rate', 1.0 / rate, where)
         if 'columns' in converted:
             converted['columns'] = {**self.columns, **converted['columns']}
         return replace(self, **converted)

@@ -379,6 +379,7 @@ BAD_TABLES = {
     'column 0': ('1 2 3 4\n', (*TWO_JOINTS, '--effort', '0-1'), 'columns count from 1'),
     'no such name': ('a b c d\n1 2 3 4\n', (*TWO_JOINTS, '--effort', 'a,e'), "no column 'e'; its header has a, b"),
     'negative rate': ('1 2 3 4\n', (*TWO_JOINTS[:-1], '-5'), 'rate is -5.0; expected a positive number'),
+    'hardly any rate': ('1 2 3 4\n', (*TWO_JOINTS[:-1], '1e-320'), 'the period of this rate is inf; expected a finite'),
     'time before 1970': ('1 2 3 4 -1\n', (*TWO_JOINTS[:-2], '--time', '5'), 'line 1 has the time -1 s'),
     'time beyond all': ('1 2 3 4 1e9999999\n', (*TWO_JOINTS[:-2], '--time', '5'), 'line 1 has the time Infinity s'),
     'time is nan': ('1 2 3 4 nan\n', (*TWO_JOINTS[:-2], '--time', '5'), 'line 1 has the time NaN s'),
