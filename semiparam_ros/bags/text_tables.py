@@ -18,12 +18,14 @@ from semiparam_ros.bags.conversion import write_description
 from semiparam_ros.bags.sample_messages import SampleMessage
 from semiparam_ros.bags.text_lines import filled, number_in, text_lines
 from semiparam_ros.bags.writer import BagWriter
+from semiparam_ros.core.robot.urdf import joint_types, parse
 from semiparam_ros.core.stamps import NANOSECONDS
 from semiparam_ros.errors import SemiparamError, listed
 from semiparam_ros.settings.yaml_file import read_yaml
 
 TIME_UNITS = {'s': NANOSECONDS, 'ms': 10**6, 'us': 10**3, 'ns': 1}
 PER_JOINT = ('position', 'velocity', 'acceleration', 'effort')
+OF_ANGLES = ('position', 'velocity', 'acceleration')
 WIDTHS = {'time': 1, 'force': 3, 'torque': 3}
 MOST_COLUMNS = 10_000
 
@@ -39,12 +41,14 @@ class TableLayout:
     'force', 'torque' (three each), 'temperature' [deg C] (one for each of ``temperatures``, which
     the messages have as frame_id; not a number where there is none). Without 'time', rows are
     ``period`` [s] apart and the first has the stamp ``start`` [s]. Signs multiply what the file
-    holds, and ``effort_factors`` the efforts of single joints (N m for an ampere, or -1).
+    holds, and ``effort_factors`` the efforts of single joints (N m for an ampere, or -1). Joints
+    that are ``sliding`` have no angles, which ``degrees`` speaks of.
     """
 
     joints: tuple[str, ...] = ()
     columns: Mapping[str, tuple[int | str, ...]] = field(default_factory=dict)
     degrees: bool = False
+    sliding: tuple[str, ...] = ()
     period: float | None = None
     start: float = 1.0
     time_unit: str = 's'
@@ -124,7 +128,7 @@ def _whole(digits: str) -> int:
 
 def _converted(name: str, value: Any, where: str) -> Any:
     """Convert ``value`` to what the field of this name holds."""
-    if name in ('joints', 'temperatures'):
+    if name in ('joints', 'temperatures', 'sliding'):
         return _names(name, value, where)
     if name == 'columns':
         if not isinstance(value, Mapping):
@@ -205,6 +209,9 @@ def _complaints(layout: TableLayout) -> Iterator[str]:
         yield 'the table has no position columns: expected --position COLUMNS or "position:" under "columns:".'
     if ('force' in roles) is not ('torque' in roles):
         yield 'a wrench needs both force and torque columns; only one of them is named.'
+    for name in layout.sliding:
+        if name not in layout.joints:
+            yield f'sliding names {name!r}; expected some of the joints {", ".join(layout.joints)}.'
     for name in layout.effort_factors:
         if name not in layout.joints:
             yield f'effort_factors names {name!r}; expected some of the joints {", ".join(layout.joints)}.'
@@ -264,11 +271,15 @@ def convert_table(path: str | os.PathLike[str], layout: TableLayout, bag: BagWri
                   progress: Callable[[int], None] = lambda done: None) -> ConversionAccount:
     """Write every row of a table as messages of one stamp; returns what was converted.
 
-    :param robot_description: a URDF that travels in the bag.
+    :param robot_description: a URDF that travels in the bag, and tells which joints slide.
     :param progress: called with the number of bytes read so far, of a text table.
     A line that does not fit the layout raises SemiparamError naming line and column.
     """
     summary, written = ConversionAccount(), dict[str, float]()
+    if robot_description is not None:
+        types = joint_types(parse(robot_description))
+        slide = tuple(joint for joint in layout.joints if types.get(joint) == 'prismatic' or joint in layout.sliding)
+        layout = replace(layout, sliding=slide)
     for row in read_rows(path, layout, progress):
         summary.not_increasing += summary.rows > 0 and row.stamp <= summary.end_ns
         summary.rows += 1
@@ -373,12 +384,13 @@ def _is_number(cell: str) -> bool:
 def _row(layout: TableLayout, cells: Mapping[str, list[str]], number: int,
          where: str) -> RecordedRow:
     """The ``number``-th row (from 0) from its cells by role, in SI units."""
-    angle = math.pi / 180.0 if layout.degrees else 1.0
-    factors = {'position': angle, 'velocity': angle, 'acceleration': angle,
-               'effort': layout.effort_sign, 'force': layout.wrench_sign,
+    factors = {**dict.fromkeys(OF_ANGLES, 1.0), 'effort': layout.effort_sign, 'force': layout.wrench_sign,
                'torque': layout.wrench_sign, 'temperature': 1.0}
     scaled = {role: [_float(cell, role, where) * factor for cell in cells.get(role, ())]
               for role, factor in factors.items()}
+    for role in OF_ANGLES if layout.degrees else ():
+        scaled[role] = [value if joint in layout.sliding else value * (math.pi / 180.0)
+                        for joint, value in zip(layout.joints, scaled[role], strict=False)]
     if layout.effort_factors and scaled['effort']:
         scaled['effort'] = [value * layout.effort_factors.get(joint, 1.0)
                             for joint, value in zip(layout.joints, scaled['effort'], strict=True)]

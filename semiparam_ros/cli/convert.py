@@ -50,8 +50,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     _add_table_arguments(parser.add_argument_group(
         'tables', 'COLUMNS are numbers from 1 (1-4, or 1,3,5) or names: of the header line, of arrays (STRUCT.FIELD '
         'in a struct), or of the files of a folder; NAME:2 is the second column of an array. Options win over the '
-        '--columns file, which holds joints, temperatures, columns, degrees, period (or rate), start, time_unit, '
-        'wrench_frame, wrench_sign, effort_sign, effort_factors (a mapping).'))
+        '--columns file, which holds joints, temperatures, columns, degrees, sliding (joints), period (or rate), '
+        'start, time_unit, wrench_frame, wrench_sign, effort_sign, effort_factors (a mapping).'))
     _add_bag_arguments(parser.add_argument_group('bags'))
 
 
@@ -64,7 +64,8 @@ def _add_table_arguments(group: Any) -> None:
     for role in _ROLES:
         group.add_argument(f'--{role}', metavar='COLUMNS', help=f'columns of the {role}')
     angles = group.add_mutually_exclusive_group()
-    angles.add_argument('--degrees', action='store_const', const=True, dest='degrees', help='angles are in degrees')
+    angles.add_argument('--degrees', action='store_const', const=True, dest='degrees',
+                        help='angles are in degrees; joints that slide by --robot-description have none')
     angles.add_argument('--radians', action='store_const', const=False, dest='degrees', help='angles are in radians')
     steps = group.add_mutually_exclusive_group()
     steps.add_argument('--rate', type=float, metavar='HZ', help='rows per second, where no column holds the time')

@@ -334,6 +334,22 @@ def test_a_cell_array_or_long_doubles_beside_others_do_no_harm(tmp_path):
         np.testing.assert_array_equal([state.data.position for state in states], quantities()['q'])
 
 
+@pytest.mark.parametrize('told', ['description', 'columns'])
+def test_degrees_are_of_angles_alone(told, tmp_path):
+    """0.5 m of a joint that slides became 9 mm."""
+    links = ''.join(f'<link name="{name}"/>' for name in 'abc')
+    (tmp_path / 'arm.urdf').write_text(f"""<robot name="r">{links}
+        <joint name="lift" type="prismatic"><parent link="a"/><child link="b"/><axis xyz="0 0 1"/></joint>
+        <joint name="turn" type="revolute"><parent link="b"/><child link="c"/><axis xyz="0 0 1"/></joint></robot>""")
+    (tmp_path / 'columns.yaml').write_text('sliding: [lift]\n')
+    options = ('--robot-description', tmp_path / 'arm.urdf') if told == 'description' else \
+        ('--columns', tmp_path / 'columns.yaml')
+    assert convert(table(tmp_path, '90 0.5 180 2\n'), tmp_path / 'out.mcap', '--joints', 'turn,lift', *TWO_JOINTS[2:],
+                   '--degrees', *options) == 0
+    state = messages(tmp_path / 'out.mcap', '/joint_states')[0].data
+    np.testing.assert_allclose([state.position, state.velocity], [[np.pi / 2, 0.5], [np.pi, 2.0]], rtol=1e-15)
+
+
 def test_tables_called_by_numbers_are_those_that_are_named(tmp_path):
     """Of twelve tables 10.csv stood second, and was taken for 2.csv."""
     folder, bag = tmp_path / 'run', tmp_path / 'out.mcap'
@@ -416,6 +432,7 @@ def test_a_bad_table_ends_in_one_sentence_and_leaves_no_file(case, tmp_path, cap
     ('joints: [on, off]\n', 'joints is [True, False]; expected distinct names'),  # were True and False
     ('wrench_frame:\n', 'wrench_frame is None; expected a text'),  # was None
     ('period: yes\n', 'period is True; expected a number'),  # was 1 s
+    ('joints: [a]\ncolumns: {position: 1}\nrate: 1\nsliding: [b]\n', "sliding names 'b'; expected some of"),
     ('rate: 10\nperiod: 5\n', 'both rate and period are given; expected one of them'),
     ('joints: [a]\njoints: [b]\n', "in line 2: 'joints' is there twice"),
     ('5: 6\n', "'5' is unknown"),  # a TypeError of difflib
