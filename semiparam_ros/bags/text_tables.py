@@ -356,7 +356,7 @@ def _holds_names(lines: Sequence[tuple[int, list[str]]], layout: TableLayout, wh
 
 
 def _numbers_asked(cells: Sequence[str], layout: TableLayout) -> dict[str, list[bool]]:
-    """Whether there is a number in each column that has one for its name."""
+    """Tell whether there is a number in each column that has one for its name."""
     return {role: [_is_number(cells[int(column) - 1]) for column in columns if 0 < int(column) <= len(cells)]
             for role, columns in layout.columns.items()}
 

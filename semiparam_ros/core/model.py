@@ -85,7 +85,7 @@ class Model:
 
     @property
     def by_steps(self) -> bool:
-        """Whether it learns one sample of each step, as of the window that tells how much one counts."""
+        """Tell whether it learns one sample of each step, as of the window that tells how much one counts."""
         return self.hyperparameters.autocorrelation_time > 1.0
 
     @property
