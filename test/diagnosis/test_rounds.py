@@ -203,6 +203,18 @@ def test_of_two_effects_with_a_part_in_common_the_later_one_is_declared():
     assert len(declare(fit, [viscous, sticking, elsewhere]).effects) == 3
 
 
+def test_friction_that_differs_is_found_where_a_plainer_one_is_held_already():
+    """What it adds to that one has opposite signs, so it seemed to drive the joint, and was never tried."""
+    samples = moving()
+    speed, outputs = samples.velocity[:, 1], samples.outputs.copy()
+    outputs[:, 1] += np.where(speed > 0.0, 2.0, 0.8) * np.tanh(speed / 0.01) + speed
+    plain = [effect_from_text('coulomb_friction@turn{"turn_speed": 0.01}'), effect_from_text('viscous_friction@turn')]
+    found = diagnose(BODY, replace(samples, outputs=outputs), plain, only=RUBBING)
+    assert [(each.effect.kind, each.effect.where) for each in found.findings] == [('asymmetric_friction', 'turn')]
+    for name, value in {'coulomb_forward': 2.0, 'coulomb_backward': 0.8, 'viscous_forward': 1.0}.items():
+        assert found.findings[0].parameters[name].value == pytest.approx(value, rel=0.1)
+
+
 def test_friction_of_all_joints_is_found_in_one_round_and_every_round_improves_the_same_score(long):
     dry, viscous = np.array([1.0, 2.0, 0.5, 0.1]), np.array([2.0, 1.0, 0.3, 0.05])
     found = diagnose(BODY, rubbing(moving(1), dry, viscous, 0.02), only=() if long else RUBBING)

@@ -38,6 +38,12 @@ def held(effects: Sequence[Effect]) -> set[tuple[str, str | None]]:
             for part in (effect, *effect.plainer())}
 
 
+def not_held_by(known: Sequence[Effect], effect: Effect) -> list[Effect]:
+    """Those of the known effects that hold nothing of what another one holds: it takes the place of the rest."""
+    parts = held([effect])
+    return [each for each in known if not held([each]) & parts]
+
+
 def added_columns(fit: Fit, effect: Effect) -> Array:
     """(N, n, c) columns that the effect adds to the declared model: its own, or the derivatives of the prediction."""
     if effect.is_calibration:

@@ -17,7 +17,7 @@ import numpy as np
 from semiparam_ros.core.types import Array, Mask
 from semiparam_ros.diagnosis.data.recordings import breaks_s
 from semiparam_ros.diagnosis.regression import Fit, predicted, refit_weights, refitted, with_effects
-from semiparam_ros.diagnosis.search.candidates import added_columns, held, identity
+from semiparam_ros.diagnosis.search.candidates import added_columns, identity, not_held_by
 from semiparam_ros.diagnosis.search.spans import around, with_best_edge
 from semiparam_ros.effects import Effect
 from semiparam_ros.effects.application_point import POINT
@@ -160,9 +160,7 @@ def declare(fit: Fit, effects: list[Effect]) -> Fit:
     One that holds a part of what a known one holds takes its place: dry friction twice at a joint has no value.
     """
     for effect in effects:
-        parts = held([effect])
-        known = [one for one in fit.effects if not held([one]) & parts]
-        fit = with_effects(fit, [*known, effect])
+        fit = with_effects(fit, [*not_held_by(fit.effects, effect), effect])
     fit = _relocated(refit_weights(fit))
     return calibrated(fit, [effect for effect in fit.effects if effect.is_calibration])
 

@@ -19,7 +19,7 @@ from semiparam_ros.core.robot.frames import links_beside, nearest_link
 from semiparam_ros.core.types import Array
 from semiparam_ros.diagnosis.data.splits import correlation_times
 from semiparam_ros.diagnosis.regression import Fit, reweighted, with_effects
-from semiparam_ros.diagnosis.search.candidates import added_columns, identity
+from semiparam_ros.diagnosis.search.candidates import added_columns, identity, not_held_by
 from semiparam_ros.diagnosis.search.refit import gauss_newton
 from semiparam_ros.diagnosis.search.spans import best_spans
 from semiparam_ros.effects import Effect
@@ -58,6 +58,7 @@ def coarse_trial(fit: Fit, kind: type[Effect], where: str | None) -> Trial | Non
     """An effect at the best of its coarse values and starts; None when none is physical, or nothing
     was recorded that it depends on."""
     best: tuple[float, Effect, Array] | None = None
+    fit = beside(fit, kind(where))
     reference = next((known.reference for known in fit.effects if known.reference), tuple(fit.rigid_part.tolist()))
     for values in kind.searches(fit.body, fit.samples, where, fit.residual):
         effect, columns = _started(fit, kind.from_values(where, values, reference))
@@ -66,6 +67,13 @@ def coarse_trial(fit: Fit, kind: type[Effect], where: str | None) -> Trial | Non
         if physical and (best is None or told.loss < best[0]):
             best = told.loss, effect, columns
     return None if best is None else _fitted(fit, *best[1:])
+
+
+def beside(fit: Fit, effect: Effect) -> Fit:
+    """The model without what the effect would take the place of: what it adds to a plainer friction may have the
+    wrong sign, though all of it resists."""
+    kept = not_held_by(fit.effects, effect)
+    return fit if len(kept) == len(fit.effects) else with_effects(fit, kept)
 
 
 def _started(fit: Fit, effect: Effect) -> tuple[Effect, Array]:
@@ -113,6 +121,7 @@ def score(fit: Fit, trial: Trial, correlation: Array) -> Trial:
 
 def refined(fit: Fit, trial: Trial) -> Trial:
     """The trial with its nonlinear parameters at their best and the weights those of its own residual."""
+    fit = beside(fit, trial.effect)
     near = _weighed(fit, trial)
     if trial.effect.is_calibration:
         settled = gauss_newton(with_effects(near, [*fit.effects, trial.effect]), [trial.effect])
