@@ -11,6 +11,7 @@ from semiparam_ros.core.samples import Samples
 from semiparam_ros.diagnosis.data.recordings import breaks_s, own_time
 from semiparam_ros.diagnosis.diagnose import Diagnosis
 from semiparam_ros.diagnosis.findings import Finding, Quantity
+from semiparam_ros.diagnosis.search.candidates import identity
 from semiparam_ros.diagnosis.search.stepwise import Rival
 from semiparam_ros.diagnosis.setup.identifiability import listed
 from semiparam_ros.effects import Effect, kinds
@@ -31,7 +32,7 @@ def text_report(diagnosis: Diagnosis) -> list[str]:
     for finding in diagnosis.findings:
         effect = finding.effect
         lines.append(f'{place(effect.kind, effect.where)}: {effect.sentence}'
-                     f'{when(diagnosis, effect)} ({_values(finding)}; '
+                     f'{when(diagnosis, effect)} ({_values(finding)}{_as_declared(diagnosis, effect)}; '
                      f'log evidence {finding.log_evidence_gain:+.0f}).')
         doubt = effect.doubt(diagnosis.final.body, diagnosis.final.samples)
         lines += [f'  {doubt}'] if doubt else []
@@ -39,16 +40,32 @@ def text_report(diagnosis: Diagnosis) -> list[str]:
     lines += [f'Declared: {place(each.effect.kind, each.effect.where)}'
               f'{when(diagnosis, each.effect)} ({_values(each)}).' for each in diagnosis.declared]
     lines += [ONE_FREEDOM] if diagnosis.gain_and_mass_are_one else []
-    held = {place(effect.kind, effect.where) for effect in diagnosis.final.effects}
-    dropped = dict.fromkeys(place(effect.kind, effect.where) for step in diagnosis.steps for effect in step.dropped)
-    if gone := [name for name in dropped if name not in held]:
-        lines.append('Tried first and dropped, because the effects above explain it better: '
-                     f'{", ".join(gone)}.')
+    lines += _dropped(diagnosis)
     if diagnosis.findings:
         lines.append(_gain(diagnosis))
     if diagnosis.structure is not None and diagnosis.structure.significant:
         lines.append(diagnosis.structure.sentence)
     return lines + _contacts(diagnosis) + diagnosis.notes
+
+
+def _dropped(diagnosis: Diagnosis) -> list[str]:
+    """What was found, or declared, and is in the final model no longer."""
+    held, declared = ({place(effect.kind, effect.where) for effect in fit.effects}
+                      for fit in (diagnosis.final, diagnosis.first))
+    dropped = dict.fromkeys(place(effect.kind, effect.where) for step in diagnosis.steps for effect in step.dropped)
+    gone = [name for name in dropped if name not in held]
+    told = {'Declared, but': [name for name in gone if name in declared],
+            'Tried first and': [name for name in gone if name not in declared]}
+    return [f'{how} dropped, because the effects above explain it better: {", ".join(names)}.'
+            for how, names in told.items() if names]
+
+
+def _as_declared(diagnosis: Diagnosis, effect: Effect) -> str:
+    """Values that the effect was declared with and has no longer; empty where it was not declared."""
+    known = [each for each in diagnosis.first.effects if identity(each) == identity(effect)]
+    values = [f'{name} {value:.4g} {each.unit_of(name, diagnosis.first.body)}'.rstrip() for each in known[:1]
+              for name, value in each.parameters.items() if value != effect.parameters.get(name)]
+    return f'; declared with {", ".join(values)}' * bool(values)
 
 
 def summary(diagnosis: Diagnosis) -> list[str]:
@@ -84,8 +101,12 @@ def _opening(diagnosis: Diagnosis) -> str:
             return ('Something is missing that none of the known effects explains.'
                     + (function + beside) * diagnosis.imitated)
         return 'Something is missing, and the effects below explain only the smaller part of it.'
-    count = len(diagnosis.findings)
-    return f'The model lacks {"one effect" if count == 1 else f"{count} effects"}.'
+    declared = {identity(effect) for effect in diagnosis.first.effects}
+    other = sum(identity(finding.effect) in declared for finding in diagnosis.findings)
+    count = len(diagnosis.findings) - other
+    lacks = f'The model lacks {"one effect" if count == 1 else f"{count} effects"}'
+    has = f'{"one effect has" if other == 1 else f"{other} effects have"} other values than declared.'
+    return f'{lacks}.' if not other else f'{lacks}, and {has}' if count else has.capitalize()
 
 
 def _contacts(diagnosis: Diagnosis) -> list[str]:

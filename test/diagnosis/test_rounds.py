@@ -211,8 +211,36 @@ def test_friction_that_differs_is_found_where_a_plainer_one_is_held_already():
     plain = [effect_from_text('coulomb_friction@turn{"turn_speed": 0.01}'), effect_from_text('viscous_friction@turn')]
     found = diagnose(BODY, replace(samples, outputs=outputs), plain, only=RUBBING)
     assert [(each.effect.kind, each.effect.where) for each in found.findings] == [('asymmetric_friction', 'turn')]
+    assert any(line.startswith('Declared, but dropped, because') for line in text_report(found))
     for name, value in {'coulomb_forward': 2.0, 'coulomb_backward': 0.8, 'viscous_forward': 1.0}.items():
         assert found.findings[0].parameters[name].value == pytest.approx(value, rel=0.1)
+
+
+def test_a_declared_zero_that_is_wrong_is_told_with_its_own_value():
+    """Beside nothing else it stayed as it was declared, and the rest was said to be what no kind explains."""
+    motion = smooth_motion(4, COUNT, speed=0.5)
+    there = BODY.regressors(replace(motion, position=motion.position + 0.06 * np.eye(4)[2])) @ BODY.base_parameters
+    samples = replace(motion, outputs=there + 0.01 * there.std(axis=0)
+                      * np.random.default_rng(0).standard_normal(there.shape))
+    told = {value: diagnose(BODY, samples, [effect_from_text(f'joint_offset@elbow{{"offset": {value}}}')],
+                            only=['joint_offset', 'gravity_tilt']) for value in (0.06, -0.02)}
+    assert told[0.06].verdict == 'nothing_missing' and not told[0.06].findings
+    assert [(each.effect.kind, each.effect.where) for each in told[-0.02].findings] == [('joint_offset', 'elbow')]
+    offset = told[-0.02].findings[0].parameters['offset']
+    assert offset.value == pytest.approx(0.06, abs=3.0 * offset.std)
+    opening, line, *_ = text_report(told[-0.02])
+    assert opening == 'One effect has other values than declared.' and 'declared with offset -0.02 rad' in line
+    assert not told[-0.02].declared
+
+
+def test_a_declared_friction_of_the_wrong_form_is_told_with_its_own_form():
+    """The model was said to lack no effect, though one was found."""
+    samples = rubbing(moving(), np.array([0.0, 2.0, 0.0, 0.0]), np.zeros(4), turn_speed=0.005)
+    late = effect_from_text('coulomb_friction@turn{"turn_speed": 0.005, "lead_s": 0.02}')
+    found = diagnose(BODY, samples, [late], only=[*RUBBING, 'backlash'])
+    assert [(each.effect.kind, each.effect.where) for each in found.findings] == [('coulomb_friction', 'turn')]
+    assert abs(found.findings[0].effect.value('lead_s')) < 0.001 and not found.declared
+    assert text_report(found)[0] == 'One effect has other values than declared.'
 
 
 def test_friction_of_all_joints_is_found_in_one_round_and_every_round_improves_the_same_score(long):

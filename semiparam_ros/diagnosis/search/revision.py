@@ -10,8 +10,8 @@ import numpy as np
 from semiparam_ros.diagnosis.regression import Fit, with_effects
 from semiparam_ros.diagnosis.search.candidates import Place, added_columns, held, identity, others
 from semiparam_ros.diagnosis.search.plausibility import all_plausible, price, prices, usual
-from semiparam_ros.diagnosis.search.refit import declare, remaining, settled
-from semiparam_ros.diagnosis.search.score import Gain, gain, worth
+from semiparam_ros.diagnosis.search.refit import calibrated, declare, remaining, settled, told_by_sliding
+from semiparam_ros.diagnosis.search.score import Gain, gain, gain_of_values, repetition, worth
 from semiparam_ros.diagnosis.search.scoring import coarse_trial, line_searched
 from semiparam_ros.effects import Effect
 from semiparam_ros.effects.base import Values
@@ -113,6 +113,40 @@ def split(fit: Fit, places: Collection[Place], kinds: Collection[str]) -> Fit:
         if not gain(simpler, fit).exceeds(prices([effect], rest, kinds), fit.config.sure):
             fit = simpler
     return fit
+
+
+def revalued(fit: Fit, kinds: Collection[str]) -> tuple[Fit, set[Place]]:
+    """The model with other values of those calibrations whose declared ones are wrong, and which these are: with other
+    values it leaves less by more than a cause of that kind costs, the most telling first."""
+    moved = set[Place]()
+    while True:
+        tried = [(worth_more.total - cost, identity(effect), after) for effect in fit.effects
+                 if effect.is_calibration and identity(effect) not in moved
+                 for after, worth_more, cost in [_with_other_values(fit, effect, kinds)]
+                 if worth_more.exceeds(cost, fit.config.sure) and all_plausible(fit, after)]
+        if not tried:
+            return fit, moved
+        _, which, fit = max(tried, key=lambda each: each[0])
+        moved.add(which)
+
+
+def _with_other_values(fit: Fit, effect: Effect, kinds: Collection[str]) -> tuple[Fit, Gain, float]:
+    """The model with a calibration settled anew, what that gains, and what it costs: each value what a search among as
+    many as the samples tell apart does (Schwarz 1978)."""
+    after = calibrated(fit, [effect])
+    before, there = (fit.sliding, after.sliding) if told_by_sliding(fit, effect) else (fit, after)
+    independent = float((there.counts / repetition(there)).sum())
+    cost = price(effect, others(fit, effect), fit, kinds) + 0.5 * len(effect.calibrations) * math.log(independent)
+    return after, gain_of_values(before, there), cost
+
+
+def other_forms(fit: Fit, after: Fit, fixed: Collection[Place], kinds: Collection[str]) -> tuple[Effect, ...]:
+    """The declared effects that the second model holds with other nonlinear values, where that gains more than it would
+    cost to add them."""
+    changed = [effect for effect in after.effects if identity(effect) in fixed and effect not in fit.effects
+               and not effect.is_calibration]
+    cost = sum(price(effect, others(fit, effect), fit, kinds) for effect in changed)
+    return tuple(changed) if changed and gain(fit, after).exceeds(cost, fit.config.sure) else ()
 
 
 def pruned(fit: Fit, fixed: Collection[Place], kinds: Collection[str],

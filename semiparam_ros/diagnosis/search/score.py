@@ -26,6 +26,7 @@ from semiparam_ros.core.robot.size import reach_of
 from semiparam_ros.core.types import Array, Indices
 from semiparam_ros.diagnosis.config import DiagnosisConfig
 from semiparam_ros.diagnosis.data.recordings import breaks_s
+from semiparam_ros.diagnosis.data.splits import block_sums
 from semiparam_ros.diagnosis.regression import Fit
 from semiparam_ros.diagnosis.search.candidates import added_columns, identity
 from semiparam_ros.diagnosis.search.refit import calibrated_values, points_of, shape_columns, told_by_sliding
@@ -157,6 +158,14 @@ def gain(before: Fit, after: Fit, times_s: Collection[float] = ()) -> Gain:
     gains, breaks = block_gains(before, after), breaks_s(before.samples)
     searched = sum(time_s not in breaks for time_s in times_s)
     return summed(np.sort(gains)[:len(gains) - searched])
+
+
+def gain_of_values(before: Fit, after: Fit) -> Gain:
+    """Of the second model over the first, with their calibrations as they are: :func:`gain` holds these open in both,
+    and then no declared value is wrong."""
+    repeated = repetition(after)
+    less = (before.residual**2 - after.residual**2) * after.counted / (2.0 * after.scale**2 * repeated)
+    return summed(block_sums(less[after.train_mask], after.config.blocks).sum(axis=1))
 
 
 def block_gains(before: Fit, after: Fit) -> Array:

@@ -26,7 +26,15 @@ from semiparam_ros.diagnosis.search.moves import (
     single_moves,
     swapping_moves,
 )
-from semiparam_ros.diagnosis.search.revision import bent, pruned, reshaped, split, with_common_forms
+from semiparam_ros.diagnosis.search.revision import (
+    bent,
+    other_forms,
+    pruned,
+    reshaped,
+    revalued,
+    split,
+    with_common_forms,
+)
 from semiparam_ros.diagnosis.search.score import block_gains, gain
 from semiparam_ros.diagnosis.search.scoring import Progress, Trial, coarse, overlap, refine_foremost
 from semiparam_ros.effects import Effect
@@ -124,19 +132,27 @@ def _next_step(fit: Fit, kinds: dict[str, type[Effect]], fixed: Collection[Place
         if step.added or (steps and gain(fit, step.after).total > fit.config.settled_gain):
             return step
         good = [move for move in good if move is not best]
-    return None
+    return None if steps else _revalued(fit, kinds, ranking)
+
+
+def _revalued(fit: Fit, kinds: Collection[str], ranking: Sequence[Trial]) -> Step | None:
+    """The step that gives declared calibrations other values, which every step with something new does along."""
+    after, moved = revalued(fit, kinds)
+    added = tuple(effect for effect in after.effects if identity(effect) in moved)
+    return Step(added=added, rivals=(), ranking=tuple(ranking), before=fit, after=after) if added else None
 
 
 def _made(fit: Fit, best: Move, moves: Sequence[Move], ranking: Sequence[Trial], fixed: Collection[Place],
           kinds: Collection[str]) -> Step:
-    """The step that a move is, with what was added at its best and what it makes needless taken off. It adds nothing
-    where that is what the model holds already, in another form."""
+    """The step that a move is, with what was added at its best and what it makes needless taken off. Where that is what
+    was declared, in another form, it adds that; where it is what was found, nothing."""
     added = [identity(effect) for effect in best.added]
     after = bent(best.after, added, kinds)
     after = pruned(split(after, added, kinds), fixed, kinds)
     before = {(identity(effect), effect.end_s) for effect in fit.effects}
     names = {identity(effect) for effect in after.effects}
-    found = tuple(effect for effect in after.effects if (identity(effect), effect.end_s) not in before)
+    found = tuple(effect for effect in after.effects if (identity(effect), effect.end_s) not in before) \
+        or other_forms(fit, after, fixed, kinds)
     alone = len(found) == 1 == len(best.added)
     if alone:  # a load may have moved to the link nearest to its centre
         ranking = [replace(trial, effect=found[0]) if identity(trial.effect) == added[0] else trial
