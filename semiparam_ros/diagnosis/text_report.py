@@ -197,7 +197,8 @@ def rounded(quantity: Quantity) -> tuple[str, str]:
     if -place > MOST_DECIMALS:
         return f'{quantity.value:.{MOST_DECIMALS - 2}g}', f'{std:.2g}'
     decimals = max(-place, 0)
-    return f'{round(quantity.value, -place):.{decimals}f}', f'{round(std, -place):.{decimals}f}'
+    value = round(quantity.value, -place) + 0.0  # no negative zero
+    return f'{value:.{decimals}f}', f'{round(std, -place):.{decimals}f}'
 
 
 class TableRow(NamedTuple):

@@ -12,6 +12,8 @@ than that. How much they do is the sandwich covariance of clustered samples (Lia
 stretches of time as clusters. The larger of the two is told: with few stretches the sandwich itself is uncertain, and
 one stretch may hold all that tells of a value.
 
+*What no sample shows*, as the zero of a last joint that turned inertias explain, is as unsure as it was beforehand.
+
 *Errors of a smoothed motion* do the same in every stretch: they make an inertia too small and a spring too stiff by up
 to a deviation. The same errors put on the smoothed motion once more shift the values by about as much again. So that
 shift is taken off the values (simulation extrapolation; Cook and Stefanski 1994, Journal of the American Statistical
@@ -69,6 +71,9 @@ def _estimates(fit: Fit, found: Collection[int], disturbed: Sequence[Samples]) -
         if not fit.knows_mass:
             told[part, part] = _without_common_gain(fit.effects[number])
     deviation = _deviations(fit, columns, told)
+    for number, part in parts.items():
+        unseen = [not fit.explain(columns[:, :, [column - len(fit.theta)]]).rank for column in range(edges[-1])[part]]
+        deviation[part][unseen] = fit.effects[number].calibration_scale(fit.body)[unseen]
     if disturbed:
         shift = told @ np.mean([_shift(fit, samples, calibrated, shapes) for samples in disturbed], axis=0)
         values, deviation = values - shift, np.hypot(deviation, shift)

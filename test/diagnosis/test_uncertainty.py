@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from semiparam_ros.core.robot.rigid_body import RigidBody
-from semiparam_ros.diagnosis.findings import declared_findings
+from semiparam_ros.diagnosis.findings import Quantity, declared_findings
 from semiparam_ros.diagnosis.preparation import Inputs
 from semiparam_ros.diagnosis.regression import fit_model, refit_weights
 from semiparam_ros.diagnosis.search.refit import fitted_to_all
+from semiparam_ros.diagnosis.text_report import quantity_text
 from semiparam_ros.diagnosis.uncertainty import estimates
 from semiparam_ros.effects import kinds
 from support.arms import ODD_ARM, ODD_JOINTS, smooth_motion
@@ -53,6 +54,16 @@ def test_deviations_are_as_large_as_the_scatter_of_the_values(disturbed):
     rng = np.random.default_rng(1)
     off, std = np.array([told(disturbed(rng)) for _ in range(DRAWS)]).T
     assert 0.6 < np.sqrt(np.mean(off**2) / np.mean(std**2)) < 1.25
+
+
+def test_a_zero_that_no_sample_shows_is_as_unsure_as_beforehand():
+    """Turned inertias explain the last joint's: it was told to 1e-10 rad."""
+    samples = replace(MOTION, outputs=EXACT + 0.01 * EXACT.std(axis=0) * white(np.random.default_rng(0)))
+    zeros = [kinds()['joint_offset'](joint, {'offset': 0.0}) for joint in ('elbow', 'grip')]
+    fit = refit_weights(fit_model(BODY, samples, zeros, np.ones(len(samples), dtype=bool), np.ones(4)))
+    (seen,), (unseen,) = (values[1] for values in estimates(fit, []).calibrations.values())
+    assert 1e-4 < seen < 0.01 and unseen == zeros[1].calibration_scale(BODY)
+    assert quantity_text(Quantity(-1e-5, unseen, 'rad')) == '0.00 +- 0.10 rad'
 
 
 def test_what_errors_of_a_smoothed_motion_shift_is_taken_off_and_counts_as_a_deviation():
