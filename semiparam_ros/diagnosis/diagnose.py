@@ -412,6 +412,8 @@ def check(samples: Samples, body: RigidBody, config: DiagnosisConfig) -> None:
     if len(samples) < config.least_samples:
         raise SemiparamError(f'the recording holds {len(samples)} complete samples; a diagnosis needs at least '
                              f'{config.least_samples}.')
+    if np.median(np.diff(samples.stamps)) <= 0:
+        raise SemiparamError('most samples have no later stamp than the one before; expected stamps that increase.')
     if np.all(np.ptp(samples.position, axis=0) < config.still_range):
         raise SemiparamError(f'no joint moves by more than {config.still_range} rad or m in the recording; a diagnosis '
                              f'needs motion of {", ".join(body.joints)}.')

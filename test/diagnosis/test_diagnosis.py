@@ -583,6 +583,12 @@ def test_a_formula_of_what_is_small_is_that_of_what_is_large():
     assert _pursuit(columns, np.ones(400), 3) == []
 
 
+def test_stamps_that_mostly_stand_still_are_refused():
+    samples = samples_of(simulate(Scenario(samples=300)))
+    with pytest.raises(SemiparamError, match='expected stamps that increase'):
+        diagnose(icub(), replace(samples, stamps=np.repeat(samples.stamps[::3], 3)))
+
+
 def test_a_recording_without_motion_is_refused():
     still = replace(RECORDED, position=np.full((400, 4), 0.3), velocity=np.zeros((400, 4)),
                     acceleration=np.zeros((400, 4)))
