@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import pairwise
 from typing import ClassVar
 
 import numpy as np
@@ -120,8 +119,8 @@ class CommonGain(Effect):
 
 
 class GearCoupling(Effect):
-    """A joint moves with the motor of the joint before it: its true angle is the recorded one plus ``ratio`` times that
-    joint's, and that motor carries ``ratio`` of its torque."""
+    """A joint moves with the motor of the joint that carries it: its true angle is the recorded one plus ``ratio``
+    times that joint's, and that motor carries ``ratio`` of its torque."""
 
     kind: ClassVar[str] = 'gear_coupling'
     shows_against: ClassVar[Axis] = 'position'
@@ -134,17 +133,18 @@ class GearCoupling(Effect):
     @classmethod
     def places(cls, body: RigidBody) -> Sequence[str | None]:
         outputs = body.output_names
-        return [name for before, name in pairwise(body.joints) if before not in outputs or name in outputs]
+        return [name for name in body.joints if (before := _carrier(body, name)) is not None
+                and (before not in outputs or name in outputs)]
 
     def correct(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[RigidBody, Samples, Memory]:
-        joint = joint_index(body, self.where)
+        joint, before = joint_index(body, self.where), joint_index(body, _carrier(body, self.where))
         moved = {role: getattr(samples, role).copy() for role in ('position', 'velocity', 'acceleration')}
         for values in moved.values():
-            values[:, joint] += self.value('ratio') * values[:, joint - 1]
+            values[:, joint] += self.value('ratio') * values[:, before]
         return body, replace(samples, **moved), None
 
     def transform(self, body: RigidBody, regressors: Array) -> Array:
-        before = body.joints[joint_index(body, self.where) - 1]
+        before = _carrier(body, self.where)
         if before not in body.output_names:  # nor are they of a wrench
             return regressors
         shaped = regressors.copy()
@@ -214,6 +214,12 @@ class Backlash(JointEffect):
         flank = min(self.value('flank', FLANK * gap) / (0.5 * gap), 1.0)
         contact = np.sign(place) * np.maximum(np.abs(place) - 1.0 + flank, 0.0) / flank
         return on_joint(body, self.where, contact[:, None]), memory
+
+
+def _carrier(body: RigidBody, joint: str | None) -> str | None:
+    """Name of the moving joint that carries a joint, in whichever order joints are named; None of a first one."""
+    name = body.arm.names[body.arm.parents[body.arm.getJointId(joint)]]
+    return str(name) if name in body.joints else None
 
 
 def _order_spectrum(position: Array, signal: Array) -> Array:

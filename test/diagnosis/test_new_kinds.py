@@ -67,6 +67,25 @@ def test_torques_of_coupled_gears_are_those_of_another_library():
         np.testing.assert_allclose(row @ body.base_parameters, torque, atol=1e-9)
 
 
+def test_a_joint_is_coupled_to_the_one_that_carries_it_in_whichever_order_joints_are_named():
+    """It was coupled to the one named before it: of permuted joints, or of two arms, to a joint far away."""
+    made, body, samples = recorded('effort')
+    order = [2, 0, 3, 1]
+    other = RigidBody.from_urdf(made.urdf, [body.joints[index] for index in order], 'effort')
+    coupled = kinds()['gear_coupling']
+    assert set(coupled.places(other)) == set(coupled.places(body)) == set(body.joints[1:])
+    permuted = replace(samples, **{role: getattr(samples, role)[:, order] for role in (
+        'position', 'velocity', 'acceleration', 'outputs')})
+    effect = coupled(body.joints[3], {'ratio': 0.3})
+    there, here = (CoupledColumns(each, [effect]).batch(some[:5])[0] @ each.base_parameters
+                   for each, some in ((other, permuted), (body, samples)))
+    np.testing.assert_allclose(there, here[:, order], atol=1e-9)
+    arms = RigidBody.from_urdf(TWO_ARMS, TWO_ARMS_JOINTS, 'effort')
+    moved = coupled('b_shoulder', {'ratio': 0.3}).correct(arms, smooth_motion(5, 3), None)[1].position
+    still = smooth_motion(5, 3).position
+    np.testing.assert_allclose(moved[:, 3], still[:, 3] + 0.3 * still[:, TWO_ARMS_JOINTS.index('waist')])
+
+
 def test_joints_that_are_inputs_only():
     """Friction is found where the effort is an output; a load moves the efforts that there are."""
     made, _, samples = recorded('effort')
