@@ -38,6 +38,7 @@ from semiparam_ros.diagnosis.preparation import (
     too_fast,
 )
 from semiparam_ros.diagnosis.regression import Fit
+from semiparam_ros.diagnosis.residual.aliases import as_recorded
 from semiparam_ros.diagnosis.residual.contacts import Contact, contacts
 from semiparam_ros.diagnosis.residual.noise import noise_floor, with_error_columns, without_error_columns
 from semiparam_ros.diagnosis.residual.structure import Structure, remaining_structure
@@ -363,7 +364,8 @@ def _left(final: Fit, samples: Samples, start: _Start) -> tuple[Structure, list[
 def _estimated(final: Fit, steps: list[Step], samples: Samples, start: _Start,
                judged_here: bool) -> tuple[Fit, Estimates]:
     """The final model fitted to all samples, where that gives no effect values that it cannot have, and its values."""
-    everything, new = final, [index for index, _ in places_in(final, steps)]
+    new = [index for index, _ in places_in(final, steps)]
+    everything = final = as_recorded(final, start.recorded.samples, new)
     if steps and judged_here:
         refit = fitted_to_all(final, start.fitting | start.held_out, new)
         everything = refit if all_plausible(final, refit) else final

@@ -317,4 +317,4 @@ def averaged(samples: Samples, factor: int) -> Samples:
 
     return Samples(middle, now(samples.position), now(samples.velocity), now(samples.acceleration),
                    now(samples.outputs), samples.origin, samples.breaks, averaged_s=length,
-                   temperature=mean(samples.temperature))
+                   averaged_of=factor * samples.averaged_of, temperature=mean(samples.temperature))

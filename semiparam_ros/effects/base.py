@@ -312,6 +312,10 @@ class Effect(ColumnBlock):
         """The same effect with the values of its form open that a search leaves as they usually are."""
         return self
 
+    def alike(self: Self, samples: Samples) -> Sequence[Self]:
+        """The same effect, and others of its kind that samples which average faster ones do not tell from it."""
+        return (self,)
+
     def plainer(self) -> tuple[Effect, ...]:
         """Plainer effects that together do the same in a special case, such as equal friction in both directions."""
         return ()

@@ -62,6 +62,9 @@ class PeriodicDisturbance(Effect):
                       for frequency in spectral_peaks(samples.time[part], signal[part])]
         return found
 
+    def alike(self, samples: Samples) -> Sequence[PeriodicDisturbance]:
+        return [self.with_values(frequency_hz=each) for each in aliases(self.value('frequency_hz', 1.0), samples)]
+
     @classmethod
     def choices(cls, body: RigidBody, samples: Samples, where: str | None) -> int:
         """Number of frequencies that the recording tells apart."""
@@ -81,8 +84,10 @@ class PeriodicDisturbance(Effect):
         return tuple(Coefficient(f'{part}_{name}'.rstrip('_'), unit) for part in ('sin', 'cos') for name, unit in names)
 
     def basis(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[Array, Memory]:
-        phase = 2.0 * np.pi * self.value('frequency_hz', 1.0) * samples.time[:, None, None]
+        frequency_hz = self.value('frequency_hz', 1.0)
+        phase = 2.0 * np.pi * frequency_hz * samples.time[:, None, None]
         directions = self._directions(body, samples, self.where, self.value('link_axes'))
+        directions = directions * kept_of_a_sine(frequency_hz, samples)
         return np.concatenate([np.sin(phase) * directions, np.cos(phase) * directions], axis=2), None
 
     @staticmethod
@@ -100,6 +105,27 @@ class PeriodicDisturbance(Effect):
 def _own_axes(body: RigidBody) -> Sequence[str | None]:
     """Places that shake the outputs themselves, not a link: the sensor, or the drives of the joints."""
     return (None,) if body.outputs == 'wrench' else body.output_names
+
+
+def kept_of_a_sine(frequency_hz: float, samples: Samples) -> float:
+    """What samples that are means keep of a sine, below zero where they turn it over: that of a mean, of which the
+    curvature is taken off as second neighbours tell it."""
+    count, turn = samples.averaged_of, np.pi * frequency_hz * samples.averaged_s
+    if count == 1 or turn == 0.0:
+        return 1.0
+    mean = float(np.sin(turn) / (count * np.sin(turn / count)))
+    return mean * (1.0 + (1.0 - 1.0 / count**2) / 24.0 * float(np.sin(2.0 * turn)) ** 2)
+
+
+def aliases(frequency_hz: float, samples: Samples) -> list[float]:
+    """A frequency and all others [Hz] that the means of faster samples do not tell from it, below half the rate of
+    those."""
+    if samples.averaged_of == 1:
+        return [frequency_hz]
+    rate = 1.0 / samples.averaged_s
+    others = [number * rate + sign * frequency_hz for number in range(1, samples.averaged_of // 2 + 1)
+              for sign in (-1.0, 1.0)]
+    return [frequency_hz, *(each for each in others if each < EDGE * 0.5 * samples.averaged_of * rate)]
 
 
 def _unbroken(time: Array) -> slice:

@@ -86,6 +86,21 @@ def test_a_joint_is_coupled_to_the_one_that_carries_it_in_whichever_order_joints
     np.testing.assert_allclose(moved[:, 3], still[:, 3] + 0.3 * still[:, TWO_ARMS_JOINTS.index('waist')])
 
 
+@pytest.mark.parametrize('frequency', [12.0, 33.0])
+def test_a_shake_of_averaged_samples_is_told_as_it_was_recorded(frequency):
+    """Means of five samples keep nine tenths of 12 Hz, and read 33 Hz as 7 Hz of a fifth of its size."""
+    body, size, rng = RigidBody.from_urdf(TWO_ARMS, TWO_ARMS_JOINTS[:3], 'effort'), 0.5, np.random.default_rng(0)
+    motion = smooth_motion(3, 6000, rate=200.0, speed=0.5)
+    outputs = body.regressors(motion) @ body.base_parameters
+    outputs += 0.01 * outputs.std(axis=0) * rng.standard_normal(outputs.shape)
+    outputs[:, 1] += size * np.sin(2.0 * np.pi * frequency * motion.time)
+    found = diagnose(body, replace(motion, outputs=outputs), only=['periodic_disturbance'])
+    assert names(found) == [('periodic_disturbance', 'a_shoulder')] and found.inputs.factor == 5
+    told = found.findings[0].parameters
+    assert told['frequency_hz'].value == pytest.approx(frequency, abs=0.01)
+    assert np.hypot(told['sin'].value, told['cos'].value) == pytest.approx(size, rel=0.02)
+
+
 def test_joints_that_are_inputs_only():
     """Friction is found where the effort is an output; a load moves the efforts that there are."""
     made, _, samples = recorded('effort')
