@@ -12,10 +12,10 @@ from semiparam_ros.core.columns import Memory
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array
-from semiparam_ros.effects.base import Axis, Coefficient, Effect, Values, channel_index, joint_index, on_joint
+from semiparam_ros.effects.base import ALWAYS, Axis, Coefficient, Effect, Values, channel_index, joint_index, on_joint
 from semiparam_ros.effects.friction import JointEffect
 from semiparam_ros.effects.hysteresis import Way, play_place
-from semiparam_ros.effects.periodic import strongest_peaks
+from semiparam_ros.effects.periodic import kept_of_a_sine, strongest_peaks
 
 ORDER_STEP, ORDER_BINS = 0.1, 2**18
 ORDERS = ORDER_STEP * np.arange(20, 2400)
@@ -183,6 +183,15 @@ class TransmissionRipple(JointEffect):
     def functions(self, position: Array, velocity: Array, acceleration: Array) -> Array:
         angle = self.value('order', 1.0) * position
         return np.column_stack([np.sin(angle), np.cos(angle)])
+
+    @property
+    def of_motion_alone(self) -> bool:
+        return self.span == ALWAYS  # of one sample, which averages nothing
+
+    def basis(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[Array, Memory]:
+        columns, memory = super().basis(body, samples, memory)
+        passed_hz = self.value('order', 1.0) * samples.velocity[:, joint_index(body, self.where)] / (2.0 * np.pi)
+        return columns * kept_of_a_sine(passed_hz, samples)[:, None, None], memory
 
 
 class Backlash(JointEffect):

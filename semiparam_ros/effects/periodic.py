@@ -87,7 +87,7 @@ class PeriodicDisturbance(Effect):
         frequency_hz = self.value('frequency_hz', 1.0)
         phase = 2.0 * np.pi * frequency_hz * samples.time[:, None, None]
         directions = self._directions(body, samples, self.where, self.value('link_axes'))
-        directions = directions * kept_of_a_sine(frequency_hz, samples)
+        directions = directions * kept_of_a_sine(np.array(frequency_hz), samples)
         return np.concatenate([np.sin(phase) * directions, np.cos(phase) * directions], axis=2), None
 
     @staticmethod
@@ -107,14 +107,13 @@ def _own_axes(body: RigidBody) -> Sequence[str | None]:
     return (None,) if body.outputs == 'wrench' else body.output_names
 
 
-def kept_of_a_sine(frequency_hz: float, samples: Samples) -> float:
-    """What samples that are means keep of a sine, below zero where they turn it over: that of a mean, of which the
-    curvature is taken off as second neighbours tell it."""
-    count, turn = samples.averaged_of, np.pi * frequency_hz * samples.averaged_s
-    if count == 1 or turn == 0.0:
-        return 1.0
-    mean = float(np.sin(turn) / (count * np.sin(turn / count)))
-    return mean * (1.0 + (1.0 - 1.0 / count**2) / 24.0 * float(np.sin(2.0 * turn)) ** 2)
+def kept_of_a_sine(frequency_hz: Array, samples: Samples) -> Array:
+    """What samples that are means keep of sines with frequencies (...), below zero where they turn one over: that of a
+    mean, of which the curvature is taken off as second neighbours tell it."""
+    count, turn = samples.averaged_of, np.pi * samples.averaged_s * frequency_hz
+    each = count * np.sin(turn / count)
+    mean = np.divide(np.sin(turn), each, out=np.ones_like(turn), where=each != 0.0)
+    return np.asarray(mean * (1.0 + (1.0 - 1.0 / count**2) / 24.0 * np.sin(2.0 * turn) ** 2))
 
 
 def aliases(frequency_hz: float, samples: Samples) -> list[float]:

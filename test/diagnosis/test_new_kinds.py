@@ -101,6 +101,19 @@ def test_a_shake_of_averaged_samples_is_told_as_it_was_recorded(frequency):
     assert np.hypot(told['sin'].value, told['cos'].value) == pytest.approx(size, rel=0.02)
 
 
+def test_a_ripple_of_averaged_samples_is_told_as_it_was_recorded():
+    """Means of 25 samples keep less of it the faster the joint is: 0.48 N m were told."""
+    body, rng = RigidBody.from_urdf(TWO_ARMS, TWO_ARMS_JOINTS[:3], 'effort'), np.random.default_rng(0)
+    motion = smooth_motion(3, 20_000, rate=1000.0, speed=0.5)
+    outputs = body.regressors(motion) @ body.base_parameters
+    outputs += 0.05 * outputs.std(axis=0) * rng.standard_normal(outputs.shape)
+    outputs[:, 1] += 0.5 * np.sin(60.0 * motion.position[:, 1])
+    found = diagnose(body, replace(motion, outputs=outputs), only=['transmission_ripple'])
+    assert names(found) == [('transmission_ripple', 'a_shoulder')] and found.inputs.factor == 25
+    told = found.findings[0].parameters
+    assert np.hypot(told['sin'].value, told['cos'].value) == pytest.approx(0.5, rel=0.02)
+
+
 def test_joints_that_are_inputs_only():
     """Friction is found where the effort is an output; a load moves the efforts that there are."""
     made, _, samples = recorded('effort')
