@@ -37,7 +37,7 @@ from semiparam_ros.diagnosis.preparation import (
     require_enough,
     too_fast,
 )
-from semiparam_ros.diagnosis.regression import Fit
+from semiparam_ros.diagnosis.regression import Fit, refit_weights, with_effects
 from semiparam_ros.diagnosis.residual.aliases import as_recorded
 from semiparam_ros.diagnosis.residual.contacts import Contact, contacts
 from semiparam_ros.diagnosis.residual.noise import noise_floor, with_error_columns, without_error_columns
@@ -366,8 +366,10 @@ def _estimated(final: Fit, steps: list[Step], samples: Samples, start: _Start,
     """The final model fitted to all samples, where that gives no effect values that it cannot have, and its values."""
     new = [index for index, _ in places_in(final, steps)]
     everything = final = as_recorded(final, start.recorded.samples, new)
-    if steps and judged_here:
-        refit = fitted_to_all(final, start.fitting | start.held_out, new)
+    if judged_here and (steps or final.effects):
+        usable = start.fitting | start.held_out
+        refit = fitted_to_all(final, usable, new) if steps else refit_weights(
+            with_effects(replace(final, train_mask=usable), final.effects))  # calibrations as declared
         everything = refit if all_plausible(final, refit) else final
     return everything, estimates(everything, new, start.inputs.disturbed(samples) if everything.effects else ())
 

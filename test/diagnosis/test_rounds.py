@@ -233,6 +233,17 @@ def test_a_declared_zero_that_is_wrong_is_told_with_its_own_value():
     assert not told[-0.02].declared
 
 
+def test_values_of_what_was_declared_rest_on_all_samples_where_nothing_is_found_too():
+    """They rested on the two thirds that fit, and were other ones once anything else was found."""
+    samples = rubbing(moving(), np.zeros(4), np.array([0.0, 2.0, 0.0, 0.0]))
+    found = diagnose(BODY, samples, [effect_from_text('viscous_friction@turn')], only=RUBBING)
+    assert found.verdict == 'nothing_missing' and [each.effect.kind for each in found.declared] == ['viscous_friction']
+    assert (found.everything.train_mask == found.first.train_mask | found.held_out).all()
+    anew = fit_model(BODY, found.first.samples, found.first.effects, found.everything.train_mask,
+                     found.everything.scale, counted=found.first.counted)
+    np.testing.assert_allclose(found.everything.theta, anew.theta, rtol=1e-6, atol=1e-9)
+
+
 def test_a_declared_friction_of_the_wrong_form_is_told_with_its_own_form():
     """The model was said to lack no effect, though one was found."""
     samples = rubbing(moving(), np.array([0.0, 2.0, 0.0, 0.0]), np.zeros(4), turn_speed=0.005)
