@@ -49,7 +49,7 @@ def text_report(diagnosis: Diagnosis) -> list[str]:
 
 
 def _dropped(diagnosis: Diagnosis) -> list[str]:
-    """What was found, or declared, and is in the final model no longer."""
+    """Lines on what was found, or declared, and is in the final model no longer."""
     held, declared = ({place(effect.kind, effect.where) for effect in fit.effects}
                       for fit in (diagnosis.final, diagnosis.first))
     dropped = dict.fromkeys(place(effect.kind, effect.where) for step in diagnosis.steps for effect in step.dropped)

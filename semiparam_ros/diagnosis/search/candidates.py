@@ -39,7 +39,7 @@ def held(effects: Sequence[Effect]) -> set[tuple[str, str | None]]:
 
 
 def not_held_by(known: Sequence[Effect], effect: Effect) -> list[Effect]:
-    """Those of the known effects that hold nothing of what another one holds: it takes the place of the rest."""
+    """Effects of the known ones that hold nothing of what another one holds: it takes the place of the rest."""
     parts = held([effect])
     return [each for each in known if not held([each]) & parts]
 

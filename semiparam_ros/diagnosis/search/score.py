@@ -161,8 +161,8 @@ def gain(before: Fit, after: Fit, times_s: Collection[float] = ()) -> Gain:
 
 
 def gain_of_values(before: Fit, after: Fit) -> Gain:
-    """Of the second model over the first, with their calibrations as they are: :func:`gain` holds these open in both,
-    and then no declared value is wrong."""
+    """Gain of the second model over the first, with their calibrations as they are: :func:`gain` holds these open in
+    both, and then no declared value is wrong."""
     repeated = repetition(after)
     less = (before.residual**2 - after.residual**2) * after.counted / (2.0 * after.scale**2 * repeated)
     return summed(block_sums(less[after.train_mask], after.config.blocks).sum(axis=1))
