@@ -108,8 +108,8 @@ def _own_axes(body: RigidBody) -> Sequence[str | None]:
 
 
 def kept_of_a_sine(frequency_hz: Array, samples: Samples) -> Array:
-    """Share of sines with frequencies (...) that means keep, below zero where they turn one over: that of a mean, of which the
-    curvature is taken off as second neighbours tell it."""
+    """Share of sines with frequencies (...) that means keep, below zero where they turn one over: that of a mean, of
+    which the curvature is taken off as second neighbours tell it."""
     count, turn = samples.averaged_of, np.pi * samples.averaged_s * frequency_hz
     each = count * np.sin(turn / count)
     mean = np.divide(np.sin(turn), each, out=np.ones_like(turn), where=each != 0.0)
