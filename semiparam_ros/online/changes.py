@@ -906,8 +906,7 @@ class ChangeDetector:
 
 def _contacts(before: Array, acting: Array, starts: Indices, ends: Iterable[int]) -> Array:
     """(S,) log evidence over none of the likeliest contact that began at any block since each of
-    some starts, was over at one of some, and lasted as long as one may; and of one like that after
-    a break, which acts yet.
+    some starts, was over at one of some, and lasted as long as one may; and of one after a break.
 
     :param before: (B, E, S) of what acts until one of the ends. :param acting: (B, S) until now.
     """
@@ -915,8 +914,7 @@ def _contacts(before: Array, acting: Array, starts: Indices, ends: Iterable[int]
     for number, end in enumerate(ends):
         ended, began = np.full(len(starts), end), np.maximum(starts, end - LASTING)
         one = _likeliest_of(before[:, number], began, ended)
-        again = np.maximum(ended + BREAK, np.maximum(starts, now - LASTING))
-        found.append(one + _likeliest_of(acting, again, now))
+        found.append(one + _likeliest_of(acting, ended + BREAK, now))
     return np.max(found, axis=0)
 
 

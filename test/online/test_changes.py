@@ -16,16 +16,7 @@ from semiparam_ros.core.robot.size import push_force, size_beyond
 from semiparam_ros.diagnosis.change import gain_since, name_change
 from semiparam_ros.effects import effect_from_text
 from semiparam_ros.online.change_causes import Judged
-from semiparam_ros.online.changes import (
-    BREAK,
-    JUDGED_ANEW,
-    LASTING,
-    LENGTHS,
-    USUAL,
-    ChangeDetector,
-    MotionBlock,
-    _contacts,
-)
+from semiparam_ros.online.changes import JUDGED_ANEW, LENGTHS, USUAL, ChangeDetector, MotionBlock
 from semiparam_ros.online.diagnosis_jobs import diagnose
 from semiparam_ros.online.history import batch_of
 from semiparam_ros.online.wandering_contact import WANDERS, contact_scale, wandering
@@ -295,17 +286,6 @@ def test_the_evidence_of_a_contact_is_that_of_a_random_walk():
                 expected = multivariate_normal(cov=design @ prior @ design.T + noise).logpdf(y)
                 expected -= multivariate_normal(cov=noise).logpdf(y)
                 assert found[begin, row, column, 0] == pytest.approx(expected, rel=1e-9)
-
-
-def test_a_contact_after_a_break_began_with_the_change_that_it_is_compared_with_and_is_not_over():
-    """The evidence of blocks before the change spoke for it too. Where the change came within a block, which has a part
-    of it, a load of a fifth of a kilogram was told half a second later."""
-    now = LASTING + 8
-    acting = np.linspace(100.0, 1.0, now)[:, None]  # the more, the longer it lasts
-    nothing, ends = np.zeros((now, now - 1, 1)), range(1, now)
-    late = now - 2 * BREAK
-    assert _contacts(nothing, acting, np.array([late]), ends) == acting[late]
-    assert _contacts(nothing, acting, np.array([0]), ends) == acting[now - LASTING], 'an older one lasts too long'
 
 
 def test_a_joint_that_slides_feels_the_force_of_a_contact_whatever_it_carries():
