@@ -210,8 +210,11 @@ LONGEST = ('test_docs.py', 'test_diagnosis.py', 'test_outside_faults.py', 'test_
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """These files and those with slow tests first: begun last, one of them would keep one worker busy while the others
-    have nothing."""
+    """Mark the tests of live nodes, and put these files and those with slow tests first: begun last, one of them would
+    keep one worker busy while the others have nothing."""
+    for item in items:
+        if {'ros_domain', 'module_domain'} & set(getattr(item, 'fixturenames', ())):
+            item.add_marker(pytest.mark.live)
     if not config.getoption('--long'):
         items[:] = [item for item in items if not item.get_closest_marker('long')]
     slow = {item.path for item in items if item.get_closest_marker('slow')}
