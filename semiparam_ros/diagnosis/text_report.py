@@ -54,10 +54,10 @@ def _dropped(diagnosis: Diagnosis) -> list[str]:
                       for fit in (diagnosis.final, diagnosis.first))
     dropped = dict.fromkeys(place(effect.kind, effect.where) for step in diagnosis.steps for effect in step.dropped)
     gone = [name for name in dropped if name not in held]
-    told = {'Declared, but': [name for name in gone if name in declared],
-            'Tried first and': [name for name in gone if name not in declared]}
-    return [f'{how} dropped, because the effects above explain it better: {", ".join(names)}.'
-            for how, names in told.items() if names]
+    sorts = {'Declared, but dropped, because the effects above explain it better': declared,
+                'Tried first and dropped, because the effects above explain it better': {*gone} - declared}
+    told = {sentence: [name for name in gone if name in chosen] for sentence, chosen in sorts.items()}
+    return [f'{sentence}: {", ".join(names)}.' for sentence, names in told.items() if names]
 
 
 def _as_declared(diagnosis: Diagnosis, effect: Effect) -> str:
