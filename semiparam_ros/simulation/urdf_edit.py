@@ -27,6 +27,9 @@ def parse(urdf: str) -> Element:
     for name in children:
         if children.count(name) > 1:  # pinocchio follows the loop until the process dies
             raise SemiparamError(f"link '{name}' of the robot description is the child of two joints; expected a tree.")
+    for element in robot.iterfind('link/inertial/*'):
+        for name, value in element.items():
+            element.set(name, ' '.join(value.split()))  # pinocchio reads a mass of '1.5 ' as none
     return robot
 
 

@@ -1,5 +1,7 @@
 """The simulated arm: kinematics, wrench of the distal bodies, forces on links."""
 
+import re
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -49,6 +51,13 @@ def test_links_may_have_the_names_of_joints(urdf, states, outputs):
     np.testing.assert_array_equal(arm.evaluate(*states), plain.evaluate(*states))
     forearm, same = plain.pose('r_forearm', states[0]), arm.pose('r_wrist_fixed_joint', states[0])
     np.testing.assert_array_equal(same.place, forearm.place)
+
+
+def test_blanks_about_a_mass_do_not_take_the_body_away(urdf, states):
+    spaced = re.sub('<mass value="([^"]*)"', r'<mass value=" \1 "', urdf)
+    assert spaced != urdf
+    plain, arm = (Arm.from_urdf(text, ICUB_JOINTS, 'wrench', ICUB_SENSOR) for text in (urdf, spaced))
+    np.testing.assert_array_equal(arm.evaluate(*states), plain.evaluate(*states))
 
 
 def test_wrench_at_rest_is_the_weight_of_the_distal_bodies(wrench_arm):
