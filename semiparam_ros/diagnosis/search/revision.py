@@ -73,9 +73,9 @@ def with_common_forms(fit: Fit, fixed: Collection[Place]) -> Fit:
                             axis=0).argmin())
         for effect, tried in zip(alike, forms, strict=True):
             other = kind.from_values(effect.where, tried[common], effect.reference)
-            after = with_effects(fit, [other if known is effect else known for known in fit.effects])
-            if other != effect and gain(after, fit).total < math.log(len(tried)):
-                fit = after
+            if other != effect:
+                after = with_effects(fit, [other if known is effect else known for known in fit.effects])
+                fit = after if gain(after, fit).total < math.log(len(tried)) else fit
     return fit
 
 
