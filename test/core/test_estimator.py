@@ -15,6 +15,7 @@ from semiparam_ros.core.initial_window import gathered_from
 from semiparam_ros.core.model import ModelOptions, information_gain
 from semiparam_ros.core.motion import STEP_NS, STILL_STEPS, at_start
 from semiparam_ros.core.robot.rigid_body import RigidBody
+from semiparam_ros.core.robot.size import radians
 from semiparam_ros.core.samples import Sample, Samples
 from semiparam_ros.core.variants import CHOICES
 from semiparam_ros.effects import effect_from_text
@@ -60,6 +61,20 @@ def relative_error(predictions, samples):
     """Root mean square error over the outputs' standard deviation."""
     errors = [(each.sample.outputs - each.mean) / samples.outputs.std(axis=0) for each in predictions]
     return np.sqrt(np.mean(np.square(errors)))
+
+
+def test_a_lift_of_a_centimetre_is_scaled_by_the_length_of_what_it_carries():
+    """Features of metres beside radians did not see it."""
+    body = RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, 'effort')
+    lift = body.joints.index('lift')
+    motion = smooth_motion(body.n_joints, WINDOW, seed=1)
+    for values in (motion.position, motion.velocity, motion.acceleration):
+        values[:, lift] *= 0.01
+    model = estimator(body, 'NP-ML')
+    run(model, replace(motion, outputs=body.regressors(motion) @ body.base_parameters))
+    scales = model.input_scaling[1][:body.n_joints]
+    assert scales[lift] == pytest.approx(0.2 * radians(body)[lift] * np.delete(scales, lift).max())
+    assert radians(body)[lift] != 1.0
 
 
 @pytest.fixture(scope='module', params=sorted(CHOICES))
