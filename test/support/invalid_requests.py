@@ -73,11 +73,9 @@ class InvalidRequests:
 
     def before_the_robot_is_known(self):
         """Descriptions that are none, and every service while there is no model."""
-        for number, name in enumerate(NO_DESCRIPTIONS, start=1):
+        for name in NO_DESCRIPTIONS:
             self.describe(name, late=False)
-            # The node keeps the latest description alone, so each has to be read before the next.
-            self.client.wait_report('inputs', lambda level, message, values, number=number: values.get(
-                'refused: robot_description') == str(number))
+        self._wait_for_descriptions()
         for name in SERVICES:
             self._service(f'~/{name} without a model', name, WITHOUT_A_MODEL.get(name, 'there is no model yet'))
         self._drain()
@@ -116,9 +114,16 @@ class InvalidRequests:
 
     def describe(self, name, late):
         text = NO_DESCRIPTIONS.get(name, URDF.replace('"two"', '"three"'))
+        self._wait_for_descriptions()
         self._number += 1
         self._count(f'robot_description, {"late" if late else "early"}: {name}', 'robot_description')
         self.client.outputs['robot_description'].publish(String(data=f'{text}<!-- {self._number} -->'))
+
+    def _wait_for_descriptions(self):
+        """DDS keeps the latest description alone, also of those that got lost on their way and are repeated."""
+        if self._number:
+            self.client.wait_report('inputs', lambda level, message, values: values.get(
+                'refused: robot_description') == str(self._number), heard=True)
 
     def wish(self, sample):
         """A desired trajectory that cannot be answered."""
