@@ -84,7 +84,7 @@ class Fit:
 
     :param train_mask: (N,) samples that fit. :param counted: (N, n) outputs that tell something, in use or not.
     :param scale: (n,) weight of channel k is 1 / scale[k]^2. :param theta: (p,).
-    :param residual: (N, n) of all samples, in the outputs' units.
+    :param residual: (N, n) of all samples, in the outputs' units. :param declared: the effects as they were declared.
     :param nuisance: (N, n, k) further columns, the last ones of C, that stand for no effect: what errors of the inputs
         may do. Their coefficients have a standard deviation of 1; None where there are none.
     """
@@ -99,6 +99,7 @@ class Fit:
     residual: Array
     config: DiagnosisConfig = DEFAULTS
     nuisance: Array | None = None
+    declared: tuple[Effect, ...] = ()
 
     @cached_property
     def assembly(self) -> CoupledColumns:
@@ -315,7 +316,8 @@ def fit_model(body: RigidBody, samples: Samples, effects: Sequence[Effect], trai
     """
     counted = np.ones(samples.outputs.shape, dtype=bool) if counted is None else counted
     counted = counted | (counted[train_mask].sum(axis=0) < config.least_working_samples)
-    unfitted = Fit(body, samples, tuple(effects), train_mask, counted, scale, np.zeros(0), samples.outputs, config)
+    unfitted = Fit(body, samples, tuple(effects), train_mask, counted, scale, np.zeros(0), samples.outputs, config,
+                   declared=tuple(effects))
     return reweighted(unfitted, scale)
 
 

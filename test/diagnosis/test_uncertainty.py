@@ -66,6 +66,14 @@ def test_a_zero_that_no_sample_shows_is_as_unsure_as_beforehand():
     assert quantity_text(Quantity(-1e-5, unseen, 'rad')) == '0.00 +- 0.10 rad'
 
 
+def test_a_declared_zero_that_no_sample_shows_stays_as_it_was_declared():
+    """It went to zero as soon as anything was settled."""
+    zeros = [kinds()['joint_offset'](joint, {'offset': 0.03}) for joint in ('elbow', 'grip')]
+    fit = fit_model(BODY, replace(MOTION, outputs=EXACT), zeros, np.ones(len(MOTION), dtype=bool), np.ones(4))
+    seen, unseen = fitted_to_all(refit_weights(fit), fit.train_mask, ()).effects
+    assert abs(seen.value('offset')) < 1e-5 and unseen.value('offset') == pytest.approx(0.03, abs=1e-6)
+
+
 def test_what_errors_of_a_smoothed_motion_shift_is_taken_off_and_counts_as_a_deviation():
     """They make every spring too soft here, by 2 of the deviations that outputs alone give; a quarter of that stays."""
     truth, inputs = smooth_motion(4, 1500, rate=20.0, seed=2, speed=0.6), Inputs('smoothed more', 1)

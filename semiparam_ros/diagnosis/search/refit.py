@@ -115,19 +115,20 @@ def settled(fit: Fit, found: Collection[int]) -> Fit:
 
 def objective(fit: Fit) -> float:
     """Twice the negative log posterior of a model's calibrations, but for a constant: what it leaves, and how far they
-    are from nothing."""
+    are from what was declared."""
     calibrations = [effect for effect in fit.effects if effect.is_calibration]
     mean, precision = prior_of_steps(fit, calibrations)
     return fit.loss + float(precision @ mean**2)
 
 
 def prior_of_steps(fit: Fit, moving: Sequence[Effect], free: int = 0) -> tuple[Array, Array]:
-    """Means and precisions of further changes of ``free`` values of which nothing is known, and of
-    calibrations, which are about zero beforehand. Neighbouring samples repeat each other, so these
+    """Means and precisions of further changes of ``free`` values of which nothing is known, and of calibrations, which
+    are beforehand about what was declared, zero where nothing was. Neighbouring samples repeat each other, so these
     weigh as much more."""
-    values = np.concatenate([np.zeros(free), *(calibrated_values(effect) for effect in moving)])
+    declared = {identity(effect): calibrated_values(effect) for effect in fit.declared}
+    means = [declared.get(identity(effect), 0.0) - calibrated_values(effect) for effect in moving]
     spread = np.concatenate([np.full(free, np.inf), *(effect.calibration_scale(fit.body) for effect in moving)])
-    return -values, float(fit.correlation.mean()) * spread**-2.0
+    return np.concatenate([np.zeros(free), *means]), float(fit.correlation.mean()) * spread**-2.0
 
 
 def _moved(fit: Fit, shapes: Sequence[Shape], calibrations: Sequence[Effect], steps: Array) -> Fit:
