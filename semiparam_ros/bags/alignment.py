@@ -122,6 +122,13 @@ class ZeroOrderHold:
         self._coming.clear()
 
 
+def _check(outputs: str, accelerations_known: bool) -> None:
+    if outputs not in ('wrench', 'effort'):
+        raise SemiparamError(f"outputs is {outputs!r}; expected 'wrench' or 'effort'.")
+    if not accelerations_known:
+        raise SemiparamError('accelerations are neither measured nor is there a filter that estimates them.')
+
+
 class SampleStream:
     """Turns messages into samples, one message at a time.
 
@@ -149,10 +156,7 @@ class SampleStream:
                  velocity_filter: CausalDifferentiator | None = None, output_joints: Collection[str] = (),
                  temperatures: Collection[str] = ()) -> None:
         """Make a stream without messages; SemiparamError where nothing gives accelerations."""
-        if outputs not in ('wrench', 'effort'):
-            raise SemiparamError(f"outputs is {outputs!r}; expected 'wrench' or 'effort'.")
-        if differentiator is None and not measured_accelerations:
-            raise SemiparamError('accelerations are neither measured nor is there a filter that estimates them.')
+        _check(outputs, measured_accelerations or differentiator is not None)
         self.joints = tuple(joints)
         self.faults: Counter[str] = Counter()
         self.last_fault = self.last_ignored = ''
@@ -177,12 +181,11 @@ class SampleStream:
         self._capacity = capacity
         sources = self.joints if self._effort else tuple(temperatures)
         self._temperatures = {name: ZeroOrderHold() for name in sources if name in temperatures}
-        self._of_sources = [self._temperatures.get(name, ZeroOrderHold())
-                            for name in sources] if temperatures else []
+        self._of_sources = [self._temperatures.get(name, ZeroOrderHold()) for name in sources if temperatures]
         gap = round(2e9 * tolerance_s)
         self._states, self._accelerations = Track(gap, angles=len(self.joints)), Track(gap)
-        self._followers = ([] if self._effort else [(self._states, 'joint state')]) \
-            + ([(self._accelerations, 'acceleration')] if measured_accelerations else [])
+        self._followers = [*([] if self._effort else [(self._states, 'joint state')]),
+                           *([(self._accelerations, 'acceleration')] if measured_accelerations else [])]
         # Stamps, output and (for efforts) joint state of the samples that wait for the topics they follow.
         self._waiting: deque[tuple[int, Array, Array | None]] = deque()
         self._last: dict[str, int] = {}

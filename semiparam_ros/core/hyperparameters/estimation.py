@@ -100,11 +100,7 @@ def estimate(variant: str, outputs: Array, coupled: Array, inputs: Array, spectr
         return (draft_maximum(of_kind, noise, drifting, method) if draft else
                 maximise_evidence(of_kind, noise, drifting, method, starts, jobs))
 
-    pi = None
-    if kind == 'SP2':  # the posterior mean of P: least squares burst where the window shows little
-        mean = np.zeros(own) if prior_mean is None else prior_mean[:own]
-        around = replace(window, outputs=window.outputs - coupled[:, :, :own] @ mean)
-        pi = mean + search(_window_of_kind('P', around, None)).theta[:own]
+    pi = _posterior_mean_of_p(window, search, prior_mean) if kind == 'SP2' else None
     of_kind = _window_of_kind(kind, window, pi)
     maximum = search(of_kind)
     if fewest and len(of_kind.spectrum) and not draft:
@@ -123,6 +119,15 @@ def _by_evidence(kind: str, found: EvidenceMaximum, pi: Array | None, features: 
     return Hyperparameters(at.gamma, at.rho, tau, at.sigma * float(np.sqrt(1.0 + at.kappa)),
                            tuple(at.output_scale.tolist()), None if pi is None else tuple(pi.tolist()),
                            at.kappa / (1.0 + at.kappa), at.memory if at.kappa else 0.0, features)
+
+
+def _posterior_mean_of_p(window: Window, search: Callable[[Window], EvidenceMaximum],
+                         prior_mean: Array | None) -> Array:
+    """(p,) pi of SP2: least squares burst where the window shows little."""
+    own = window.coupled.shape[2] - window.n_effects
+    mean = np.zeros(own) if prior_mean is None else prior_mean[:own]
+    around = replace(window, outputs=window.outputs - window.coupled[:, :, :own] @ mean)
+    return mean + search(_window_of_kind('P', around, None)).theta[:own]
 
 
 def _by_validation(kind: str, window: Window, noise: Noise, grid: Grid | None,
