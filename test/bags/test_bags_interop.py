@@ -1,7 +1,5 @@
 """Independent readers read what is written here: rosbags, mcap-ros2-support and, in JavaScript, @mcap/core."""
 
-import json
-import subprocess
 from pathlib import Path
 
 import pytest
@@ -12,7 +10,7 @@ from rosbags.interfaces import QosDurability
 
 from semiparam_ros.bags.reader import open_bag
 from semiparam_ros.bags.writer import BagWriter
-from support.mcap_core import READER
+from support import mcap_core
 
 
 @pytest.fixture(scope='module')
@@ -35,11 +33,7 @@ def bag(tmp_path_factory) -> Path:
 
 
 def test_mcap_core_reads_what_is_written(bag, node_modules):
-    script = node_modules / 'reader.mjs'
-    script.write_text(READER)
-    done = subprocess.run(['node', str(script), str(bag)], capture_output=True, text=True, timeout=60)
-    assert done.returncode == 0, done.stderr
-    theirs = [json.loads(line) for line in done.stdout.splitlines()]
+    theirs = mcap_core.read(node_modules, bag)
     with open_bag(bag) as reader:
         ours = list(reader.messages())
     assert len(theirs) == len(ours) == 301

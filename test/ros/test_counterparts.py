@@ -21,7 +21,7 @@ from semiparam_ros.bags.reader import open_bag
 from semiparam_ros.experiments.evaluation import OfflineLearner
 from semiparam_ros.ros.message_types import message_class
 from semiparam_ros.settings import load_params
-from support.mcap_core import READER
+from support import mcap_core
 from support.recordings import FRAME, JOINTS, write_arm
 from support.replay_peers import EVERYTHING, LATCHED, START, STATES, TEXT, WRENCH, Peer, Tool, write_robot
 
@@ -144,11 +144,7 @@ def test_mcap_core_reads_what_record_writes(tmp_path, ros_domain, node_modules):
                 message.header.stamp.sec, message.wrench.force.z = START // 10**9, float(k)
                 wrench.publish(message)
             assert record.wait() == 0, record.output
-    script = node_modules / 'reader.mjs'
-    script.write_text(READER)
-    done = subprocess.run(['node', script, out], capture_output=True, text=True, timeout=60)
-    assert done.returncode == 0, done.stderr
-    read = [json.loads(line) for line in done.stdout.splitlines()]
+    read = mcap_core.read(node_modules, out)
     wrenches = [each for each in read if each['topic'] == '/wrench']
     assert [each['data']['wrench']['force']['z'] for each in wrenches] == [float(k) for k in range(30)]
     assert wrenches[0]['data']['header']['stamp'] == {'sec': START // 10**9, 'nanosec': 0}

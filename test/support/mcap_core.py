@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import tempfile
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -58,6 +59,17 @@ def node_modules() -> Path:
                 _unavailable(f'npm could not install {", ".join(PACKAGES)}: {install.stderr[-500:]}')
             done.write_text(wanted)
     return folder
+
+
+def read(node_modules: Path, bag: Path) -> list[dict[str, Any]]:
+    """The messages of a bag as this library decodes them.
+
+    The program has no file: other runs of the suite share the folder.
+    """
+    done = subprocess.run(['node', '--input-type=module', '-', str(bag)], input=READER, cwd=node_modules,
+                          capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
+    return [json.loads(line) for line in done.stdout.splitlines()]
 
 
 def _unavailable(reason: str) -> None:
