@@ -160,6 +160,8 @@ class Effect(ColumnBlock):
     moves_friction: ClassVar[bool] = False
     """Mark of a calibration that moves other effects in time or speed: its derivative holds theirs.
     """
+    averages: ClassVar[bool] = False
+    """Mark of a calibration that averages the noise of inputs, also where its values are zero."""
     group: ClassVar[str] = ''
     """Kinds of one group are also tried at all their places at once."""
     shows_against: ClassVar[Axis] = 'any'

@@ -21,8 +21,10 @@ MOST_TURN = 0.8
 """Angle [rad] beyond which a zero or a base is not off but another one: half a right angle."""
 LONGEST_DELAY_S = 1e6
 """Nothing is remembered for a longer one."""
-POINTS = 5
-"""Samples through which accelerations are interpolated in a whole recording."""
+POINTS, DEGREE = 11, 4
+"""Samples, and degree of the polynomial, from which an acceleration between them is told in a whole recording."""
+HALF_WIDTH = 4.8
+"""Of the kernel [samples]: with this one noise is averaged as much between two samples as at one of them, to 3 %."""
 
 
 class JointOffset(Effect):
@@ -156,6 +158,7 @@ class TimeDelay(Effect):
     separated_by: ClassVar[str] = 'faster motion: a delay grows with speed, a friction does not'
     calibrations: ClassVar[tuple[Coefficient, ...]] = (Coefficient('delay_s', 's'),)
     moves_friction: ClassVar[bool] = True
+    averages: ClassVar[bool] = True
     kept: ClassVar[int] = 64
     most_kept: ClassVar[int] = 4096
     """So many samples are remembered at most, of a long delay: four seconds at 1 kHz."""
@@ -243,9 +246,8 @@ def _joined(before: _Past, after: _Past) -> _Past:
 def _interpolated(past: _Past, wanted: Stamps, newest: Stamps, centred: bool) -> tuple[Array, Array, Array]:
     """Inputs at ``wanted`` [ns] by pieces that end no later than the sample numbered ``newest``.
 
-    Positions and velocities by cubics through values and slopes, accelerations by polynomials through values alone: the
-    derivative of the cubics would take in the velocities' noise, least where a delay is a whole number of samples, and
-    so draw it there.
+    Positions and velocities by cubics through values and slopes, accelerations from values alone: the derivative of the
+    cubics would take in the velocities' noise, least where a delay is a whole number of samples, and so draw it there.
     What comes after the newest sample is extrapolated from a piece as long as the way to it, so that one sample at a
     time gives what the whole recording gives. Where there is none so long, nor one that begins so early, the nearest
     sample alone tells it: beyond its length, a piece gives its noise times the cube of the lengths.
@@ -270,11 +272,11 @@ def _interpolated(past: _Past, wanted: Stamps, newest: Stamps, centred: bool) ->
 
 
 def _centred(past: _Past, wanted: Stamps) -> Array:
-    """Accelerations at ``wanted`` [ns], each by the polynomial through the nearest sample and two on either side of it.
+    """Accelerations at ``wanted`` [ns] by local polynomial regression with the tricube kernel (Cleveland 1979, Journal
+    of the American Statistical Association 74).
 
-    A polynomial that ends with the newest sample averages its noise with that of earlier ones as soon as it looks back
-    ever so little: a small delay then lowers the error though there is none. In the middle of one nothing is gained to
-    first order.
+    It averages noise alike wherever between the samples. A polynomial through these keeps all noise at them, and three
+    quarters between them: that lowers the error though there is no delay, most with half a sample's.
     """
     stamps, values = past.stamps, past.acceleration
     if len(stamps) < POINTS:
@@ -282,12 +284,15 @@ def _centred(past: _Past, wanted: Stamps) -> Array:
     nearest = np.clip(np.searchsorted(stamps, wanted), 1, len(stamps) - 1)
     nearest -= wanted - stamps[nearest - 1] < stamps[nearest] - wanted
     rows = np.clip(nearest - POINTS // 2, 0, len(stamps) - POINTS)[:, None] + np.arange(POINTS)
-    ahead = (wanted[:, None] - stamps[rows]) * 1e-9
-    apart = (stamps[rows][:, :, None] - stamps[rows][:, None, :]) * 1e-9
-    diagonal = np.arange(POINTS)
-    ratios = np.broadcast_to(ahead[:, None, :], apart.shape).copy()
-    apart[:, diagonal, diagonal] = ratios[:, diagonal, diagonal] = 1.0
-    return np.asarray(np.einsum('ti,tij->tj', (ratios / apart).prod(axis=2), values[rows]))
+    away = np.asarray((stamps[rows] - wanted[:, None]) * 1e-9, dtype=float)
+    enough = np.partition(np.abs(away), DEGREE + 1, axis=1)[:, [DEGREE + 1]]  # of samples that count, in a gap too
+    away /= np.maximum(HALF_WIDTH * np.median(np.diff(stamps)) * 1e-9, enough)
+    weights = np.maximum(1.0 - np.abs(away) ** 3, 0.0) ** 3
+    powers = away[:, :, None] ** np.arange(DEGREE + 1)
+    normal = np.einsum('tpi,tp,tpj->tij', powers, weights, powers)
+    first = np.broadcast_to(np.eye(DEGREE + 1)[:, :1], (len(rows), DEGREE + 1, 1))
+    shares = np.einsum('tpi,tij,tp->tp', powers, np.linalg.solve(normal, first), weights)
+    return np.asarray(np.einsum('tp,tpj->tj', shares, values[rows]))
 
 
 def _parabola(values: Array, stamps: Stamps, left: Stamps, right: Stamps, ahead: Array) -> Array:

@@ -9,9 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import multivariate_normal
 
+from semiparam_ros.core.columns import CoupledColumns
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.diagnosis.config import DEFAULTS
-from semiparam_ros.diagnosis.regression import fit_model
+from semiparam_ros.diagnosis.regression import fit_model, refit_weights, with_effects
 from semiparam_ros.diagnosis.search import moves
 from semiparam_ros.diagnosis.search.plausibility import price
 from semiparam_ros.diagnosis.search.refit import declare
@@ -163,6 +164,30 @@ def test_priors_of_the_robots_size_hold_what_the_other_blocks_leave_open():
     fit = fit_model(BODY, motion, [], np.ones(COUNT, dtype=bool), np.full(4, 0.01))
     densities = block_grams(fit).densities(fit.scale, np.ones(4))
     assert densities.min() > densities.max() - 100.0
+
+
+@pytest.mark.parametrize('steps', [-0.5, 0.25, 0.5, 1.0])
+def test_a_delay_gains_nothing_by_averaging_the_noise_of_accelerations(steps):
+    """A simulated arm was told half a sample late with 160 nat, and its frictions were off by five deviations."""
+    motion, rng = replace(smooth_motion(4, COUNT, speed=1.5), whole=True), np.random.default_rng(0)
+    outputs = BODY.outputs_of(motion, BODY.base_parameters)
+    noisy = motion.acceleration + 0.5 * motion.acceleration.std(axis=0) * rng.standard_normal(outputs.shape)
+    fit = starting_fit(BODY, replace(motion, acceleration=noisy, outputs=outputs), [], np.ones(COUNT, dtype=bool))
+    step_s = float(np.diff(motion.time).mean())
+    delay = kinds()['time_delay'](None, {'delay_s': steps * step_s})
+    after = declare(fit, [delay])
+    late = refit_weights(with_effects(fit, [delay]))
+    assert abs(after.effects[0].value('delay_s')) < 0.05 * step_s, 'it is settled where it belongs'
+    assert gain(fit, after).total < 2.0 and gain(fit, late).total < 2.0
+
+
+def test_a_delay_that_there_is_gains_as_much_as_it_explains():
+    motion = replace(smooth_motion(4, COUNT, speed=1.5), whole=True)
+    delay = kinds()['time_delay'](None, {'delay_s': 0.004})
+    outputs = CoupledColumns(BODY, [delay]).batch(motion)[0] @ BODY.base_parameters
+    outputs += 0.01 * outputs.std(axis=0) * np.random.default_rng(0).standard_normal(outputs.shape)
+    fit = starting_fit(BODY, replace(motion, outputs=outputs), [], np.ones(COUNT, dtype=bool))
+    assert gain(fit, declare(fit, [delay])).total > 100.0
 
 
 def test_the_foremost_of_each_kind_with_many_values_are_refined():

@@ -27,7 +27,7 @@ from semiparam_ros.core.types import Array, Indices
 from semiparam_ros.diagnosis.config import DiagnosisConfig
 from semiparam_ros.diagnosis.data.recordings import breaks_s
 from semiparam_ros.diagnosis.data.splits import block_sums
-from semiparam_ros.diagnosis.regression import Fit
+from semiparam_ros.diagnosis.regression import Fit, refit_weights, with_effects
 from semiparam_ros.diagnosis.search.candidates import added_columns, identity
 from semiparam_ros.diagnosis.search.refit import calibrated_values, points_of, shape_columns, told_by_sliding
 
@@ -172,15 +172,31 @@ def block_gains(before: Fit, after: Fit) -> Array:
     """(B,) gain of each block; where models have columns for errors of the inputs, with or without these, whichever
     gains less: what only makes up for what they spoil explains nothing, nor does what only they do better.
 
-    Models of which one has a calibration that moves friction are compared where joints slide.
+    Models of which one has a calibration that moves friction are compared where joints slide; where one averages the
+    noise of inputs, the other does so too.
     """
     moving, others = ({identity(effect) for effect in fit.effects if told_by_sliding(fit, effect)}
                       for fit in (before, after))
     if moving != others:
         before, after = before.sliding, after.sliding
     repeated = repetition(after)
-    densities = [[_densities(fit, repeated, gone) for gone in _views(fit)] for fit in (after, before)]
+    densities = [[_densities(fit, repeated, np.append(zero, gone)) for gone in _views(fit)]
+                 for fit, zero in (_averaged_as(after, before), _averaged_as(before, after))]
     return min((one - other for one, other in zip(*densities, strict=True)), key=np.sum)
+
+
+def _averaged_as(fit: Fit, other: Fit) -> tuple[Fit, Indices]:
+    """The model with those calibrations of the other that average inputs, at zero, and their columns, which are not
+    its own."""
+    known = {identity(effect) for effect in fit.effects}
+    added = [effect for effect in other.effects if effect.averages and identity(effect) not in known]
+    if not added:
+        return fit, np.zeros(0, dtype=int)
+    if 'averaged' not in fit.asked:
+        zeros = [effect.with_values(**{each.name: 0.0 for each in effect.calibrations}) for effect in added]
+        fit.asked['averaged'] = refit_weights(with_effects(fit, [*fit.effects, *zeros]))
+    averaged = fit.asked['averaged']
+    return averaged, np.concatenate(columns_of_effects(averaged)[-len(added):])
 
 
 def _views(fit: Fit) -> list[Indices]:
