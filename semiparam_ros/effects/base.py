@@ -297,10 +297,6 @@ class Effect(ColumnBlock):
         """A sentence about values that the kind may have, yet that hint at another cause; empty without a doubt."""
         return ''
 
-    def is_noticeable(self, samples: Samples) -> bool:
-        """Tell whether a calibration does more than make the best of noise in the inputs."""
-        return True
-
     @property
     def late_s(self) -> float:
         """[s] by how much later than the joint states the outputs come."""

@@ -162,20 +162,10 @@ class TimeDelay(Effect):
     kept: ClassVar[int] = 64
     most_kept: ClassVar[int] = 4096
     """So many samples are remembered at most, of a long delay: four seconds at 1 kHz."""
-    least_step: ClassVar[float] = 0.03
 
     @property
     def late_s(self) -> float:
         return self.value('delay_s')
-
-    def is_noticeable(self, samples: Samples) -> bool:
-        """Tell whether a delay is over 3 % of a step: interpolating averages neighbours' noise.
-
-        On recordings with nothing hidden that draws a delay of 0.5 to 0.7 % of a step (1.5 % with
-        twice the noise).
-        """
-        step = float(np.median(np.diff(samples.stamps))) * 1e-9
-        return abs(self.value('delay_s')) > self.least_step * step
 
     def desired(self) -> Absent:
         """A delay lies between two measurements; a desired state is not one."""

@@ -145,8 +145,7 @@ def moving_moves(fit: Fit, fixed: Collection[Place], kinds: dict[str, type[Effec
             after = declare(formed_anew(declare(fit, [nothing]), fixed), [])
             after = reshaped(without_impossible(after, fixed), fixed, kinds)
             added = next(effect for effect in after.effects if effect.kind == kind.kind)
-            if added.is_noticeable(fit.samples):
-                moves += _plausible_moves(fit, after, [added], kinds)
+            moves += _plausible_moves(fit, after, [added], kinds)
     return moves
 
 

@@ -240,8 +240,8 @@ def refine_foremost(fit: Fit, trials: list[Trial]) -> list[Trial]:
         return []
     chosen = worth_refining(fit, trials)
     best = [refined(fit, trial) for trial in chosen] + [trial for trial in trials if trial not in chosen]
-    noticeable = [trial for trial in best if trial.effect.is_noticeable(fit.samples) and trial.effect.possible]
-    return _by_evidence(fit, noticeable) if noticeable else []
+    possible = [trial for trial in best if trial.effect.possible]
+    return _by_evidence(fit, possible) if possible else []
 
 
 def worth_refining(fit: Fit, trials: list[Trial]) -> list[Trial]:
