@@ -210,65 +210,38 @@ def test_temperatures_are_kept_and_must_be_those_of_the_node(tmp_path):
         state_file.load(tmp_path / 's.npz', replace(warm, temperatures=()), BODY)
 
 
+def held(samples):
+    """What a file holds after these samples: the arrays, and the JSON text among them decoded."""
+    arrays = state_file.snapshot(stage_of(SETTINGS, samples).learner.state()).arrays()
+    return arrays, json.loads(str(arrays['meta']))
+
+
+def write(path, arrays, meta):
+    np.savez(path, **arrays | {'meta': np.array(json.dumps(meta))})
+
+
 def test_other_versions_are_refused(tmp_path):
-    path = tmp_path / 's.npz'
-    arrays = state_file.snapshot(stage_of(SETTINGS, motion(70)).learner.state()).arrays()
-    meta = json.loads(str(arrays['meta']))
+    path, (arrays, meta) = tmp_path / 's.npz', held(motion(70))
     for version in (1, state_file.VERSION - 1, state_file.VERSION + 1, None):
-        np.savez(path, **{**arrays, 'meta': np.array(json.dumps({**meta, 'version': version}))})
+        write(path, arrays, {**meta, 'version': version})
         with pytest.raises(SemiparamError, match=f'version {version}; this node reads version {state_file.VERSION}'):
             state_file.load(path, SETTINGS, BODY)
 
 
-def spoil_text(path):
-    path.write_text('a letter to my mother')
+def link_to(target):
+    def spoil(path):
+        (path.parent / 'letter').write_text('a letter')
+        path.symlink_to(target)
+    return spoil
 
 
-def spoil_archive(path):
-    np.savez(path, thesis=np.arange(3))
-
-
-def spoil_other_json(path):
-    np.savez(path, meta=np.array('{"format": "mine"}'))
-
-
-def spoil_link(path):
-    (path.parent / 'letter').write_text('a letter')
-    path.symlink_to('letter')
-
-
-def spoil_loose_link(path):
-    path.symlink_to('/nowhere/at/all')
-
-
-def spoil_joints(path):
-    spoil_state(path, joints=5)
-
-
-def spoil_names_of_joints(path):
-    spoil_state(path, joints=[1, 2])
-
-
-def spoil_settings(path):
-    spoil_state(path, settings=None)
-
-
-def spoil_probe(path):
-    spoil_state(path, probe=np.full((19, 10), 'x'))
-
-
-def spoil_state(path, probe=None, **changes):
-    """A state that does not say what it was learnt with; to compare it with another was an internal error."""
-    arrays = state_file.snapshot(stage_of(SETTINGS, motion(3)).learner.state()).arrays()
-    meta = json.dumps({**json.loads(str(arrays['meta'])), **changes})
-    np.savez(path, **{**arrays, 'meta': np.array(meta), 'probe': arrays['probe'] if probe is None else probe})
-
-
-@pytest.mark.parametrize('spoil', [
-    spoil_joints, spoil_names_of_joints, spoil_settings, spoil_probe])
-def test_a_state_that_does_not_say_of_what_it_is_stops_no_saving(tmp_path, spoil):
+@pytest.mark.parametrize(('words', 'values'), [
+    ({'joints': 5}, {}), ({'joints': [1, 2]}, {}), ({'settings': None}, {}), ({}, {'probe': np.full((19, 10), 'x')})])
+def test_a_state_that_does_not_say_of_what_it_is_stops_no_saving(tmp_path, words, values):
+    """To compare it with another was an internal error."""
     checkpoints, state = Checkpoints(tmp_path, 'arm'), stage_of(SETTINGS, motion(3)).learner.state()
-    spoil(checkpoints.path)
+    arrays, meta = held(motion(3))
+    write(checkpoints.path, arrays | values, meta | words)
     with pytest.raises(SemiparamError, match='is no saved state, so it is not replaced'):
         state_file.save(checkpoints.path, state)
     assert checkpoints.newest(SETTINGS, BODY) is None
@@ -277,7 +250,9 @@ def test_a_state_that_does_not_say_of_what_it_is_stops_no_saving(tmp_path, spoil
 
 
 @pytest.mark.parametrize('spoil', [
-    spoil_text, spoil_archive, spoil_other_json, spoil_link, spoil_loose_link, Path.mkdir, Path.touch, os.mkfifo])
+    lambda path: path.write_text('a letter to my mother'), lambda path: np.savez(path, thesis=np.arange(3)),
+    lambda path: np.savez(path, meta=np.array('{"format": "mine"}')), link_to('letter'), link_to('/nowhere/at/all'),
+    Path.mkdir, Path.touch, os.mkfifo])
 def test_nothing_but_a_state_is_replaced(tmp_path, spoil):
     path, state = tmp_path / 's.npz', stage_of(SETTINGS, motion(3)).learner.state()
     state_file.save(path, state)
@@ -468,8 +443,7 @@ def test_saving_by_hand_moves_another_configuration_aside(tmp_path):
 
 def test_what_differs_is_told_and_nothing_else(tmp_path):
     joints = tuple(f'joint_{index}' for index in range(7))
-    arrays = state_file.snapshot(stage_of(SETTINGS, motion(3)).learner.state()).arrays()
-    meta = json.loads(str(arrays['meta']))
+    arrays, meta = held(motion(3))
     for change, expected in (
             ({'joints': ['a', *joints]}, 'is of another robot: it has the joints joint_0, joint_1, joint_2 and 4 more, '
                                          'which this node has not, and lacks b.'),
@@ -479,7 +453,7 @@ def test_what_differs_is_told_and_nothing_else(tmp_path):
              "was learnt with outputs 'effort'; this node has 'wrench'. features.count, features.seed, initial.samples "
              'differ too.')):
         path = tmp_path / 's.npz'
-        np.savez(path, **{**arrays, 'meta': np.array(json.dumps({**meta, **change}))})
+        write(path, arrays, meta | change)
         with pytest.raises(SemiparamError) as caught:
             state_file.load(path, SETTINGS, BODY)
         assert str(caught.value) == f'{path} {expected}'
@@ -500,7 +474,7 @@ def test_a_state_whose_variant_lacks_given_hyperparameters_is_refused(tmp_path):
 
 
 def test_sizes_are_checked_before_anything_is_unpacked(tmp_path):
-    path, arrays = tmp_path / 's.npz', state_file.snapshot(stage_of(SETTINGS, motion(70)).learner.state()).arrays()
+    path, (arrays, _) = tmp_path / 's.npz', held(motion(70))
     np.savez_compressed(path, **{**arrays, 'recursion.array': np.zeros((30_000, 1000))})
     assert path.stat().st_size < 10**6
     with pytest.raises(SemiparamError, match=r'cannot be read \(.* is compressed\)'):
@@ -515,10 +489,9 @@ def test_sizes_are_checked_before_anything_is_unpacked(tmp_path):
 
 def test_a_file_that_names_many_effects_makes_no_large_model(tmp_path):
     """Room grows with the square of their columns: two thousand, half a megabyte of text, took gigabytes."""
-    path, arrays = tmp_path / 's.npz', state_file.snapshot(stage_of(SETTINGS, motion(70)).learner.state()).arrays()
-    meta = json.loads(str(arrays['meta']))
+    path, (arrays, meta) = tmp_path / 's.npz', held(motion(70))
     meta['settings']['effects'] = [f'payload@ft{{"start_s": {second}.0}}' for second in range(120)]
-    np.savez(path, **arrays | {'meta': np.array(json.dumps(meta))})
+    write(path, arrays, meta)
     tracemalloc.start()
     with pytest.raises(SemiparamError, match='its effects have 1200 columns'):
         state_file.load(path, SETTINGS, BODY)
@@ -579,10 +552,9 @@ def test_what_is_loaded_can_answer_and_learn(tmp_path, settings, long):
 @pytest.mark.parametrize(('name', 'wrong'), [('changed', None), ('changed', 2.5), ('closed_since', 'x'), ('speed', [])])
 def test_a_word_of_the_gate_that_is_of_another_kind_is_refused(tmp_path, name, wrong):
     """It was loaded, and every sample from then on was an internal error."""
-    arrays, path = state_file.snapshot(stage_of(SETTINGS, motion(70)).learner.state()).arrays(), tmp_path / 's.npz'
-    meta = json.loads(str(arrays['meta']))
+    path, (arrays, meta) = tmp_path / 's.npz', held(motion(70))
     meta['gate']['dict'][name] = wrong
-    np.savez(path, **arrays | {'meta': np.array(json.dumps(meta))})
+    write(path, arrays, meta)
     with pytest.raises(SemiparamError, match=f'gate.{name}'):
         state_file.load(path, SETTINGS, BODY)
 
