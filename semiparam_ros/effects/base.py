@@ -165,6 +165,8 @@ class Effect(ColumnBlock):
     group: ClassVar[str] = ''
     """Kinds of one group are also tried at all their places at once."""
     shows_against: ClassVar[Axis] = 'any'
+    names: ClassVar[tuple[Coefficient, ...]] = ()
+    """Coefficients of the columns, their units those of a joint that turns; unless :meth:`coefficients` tells them."""
     calibrations: ClassVar[tuple[Coefficient, ...]] = ()
     parameter_units: ClassVar[Mapping[str, str]] = {}
     option_names: ClassVar[tuple[str, ...]] = ()
@@ -216,7 +218,7 @@ class Effect(ColumnBlock):
 
     def coefficients(self, body: RigidBody) -> tuple[Coefficient, ...]:
         """Names and units of the columns' coefficients, in order; they follow from kind, place and robot alone."""
-        return ()
+        return tuple(Coefficient(name, self._own_unit(unit, body)) for name, unit in self.names)
 
     def basis(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[Array, Memory]:
         """Columns (N, n, c) as if the effect had always been there, and the memory after them."""
@@ -408,7 +410,9 @@ class Effect(ColumnBlock):
     def unit_of(self, name: str, body: RigidBody | None = None) -> str:
         """Unit of a nonlinear parameter or calibration; without ``body`` that of a joint which turns."""
         known: dict[str, Any] = {**dict.fromkeys(TIMES, 's'), **self.parameter_units, **dict(self.calibrations)}
-        unit = str(known.get(name, ''))
+        return self._own_unit(str(known.get(name, '')), body)
+
+    def _own_unit(self, unit: str, body: RigidBody | None) -> str:
         return body.joint_unit(self.where, unit) if body is not None and self.of_joint else unit
 
 

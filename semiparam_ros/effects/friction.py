@@ -43,7 +43,6 @@ class JointEffect(Effect):
 
     outputs: ClassVar[tuple[str, ...]] = ('effort',)
     of_joint: ClassVar[bool] = True
-    names: ClassVar[tuple[Coefficient, ...]] = ()
     resists: ClassVar[bool] = False
     """Mark of coefficients that add up to a resistance, which cannot be negative."""
     values_by_row: ClassVar[bool] = False
@@ -52,9 +51,6 @@ class JointEffect(Effect):
     @classmethod
     def places(cls, body: RigidBody) -> Sequence[str | None]:
         return body.output_names
-
-    def coefficients(self, body: RigidBody) -> tuple[Coefficient, ...]:
-        return tuple(Coefficient(name, body.joint_unit(self.where, unit)) for name, unit in self.names)
 
     def prior_scale(self, body: RigidBody) -> Array:
         size = size_beyond(body, str(self.where))

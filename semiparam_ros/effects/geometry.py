@@ -96,6 +96,7 @@ class BaseShift(_SmallTurn):
     """A base that was knocked: a small turn about its horizontal axes."""
 
     kind: ClassVar[str] = 'base_shift'
+    names: ClassVar[tuple[Coefficient, ...]] = (Coefficient('tilt_x', 'rad'), Coefficient('tilt_y', 'rad'))
     sentence: ClassVar[str] = 'the base was turned'
     mistaken_for: ClassVar[tuple[str, ...]] = ('zero_slip', 'external_force')
     separated_by: ClassVar[str] = 'a turn of the arm about a vertical axis, or a spirit level on the base'
@@ -103,9 +104,6 @@ class BaseShift(_SmallTurn):
     @classmethod
     def permitted(cls, body: RigidBody) -> Sequence[str | None]:
         return (None,)
-
-    def coefficients(self, body: RigidBody) -> tuple[Coefficient, ...]:
-        return Coefficient('tilt_x', 'rad'), Coefficient('tilt_y', 'rad')
 
     def basis(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[Array, Memory]:
         return small_turns(body).of_base(samples, self.reference_model(body)), None
@@ -116,6 +114,7 @@ class ZeroSlip(_SmallTurn):
 
     kind: ClassVar[str] = 'zero_slip'
     of_joint: ClassVar[bool] = True
+    names: ClassVar[tuple[Coefficient, ...]] = (Coefficient('offset', 'rad'),)
     sentence: ClassVar[str] = "the joint's zero has slipped"
     mistaken_for: ClassVar[tuple[str, ...]] = ('base_shift', 'effort_offset', 'payload')
     separated_by: ClassVar[str] = JointOffset.separated_by
@@ -123,9 +122,6 @@ class ZeroSlip(_SmallTurn):
     @classmethod
     def permitted(cls, body: RigidBody) -> Sequence[str | None]:
         return body.joints
-
-    def coefficients(self, body: RigidBody) -> tuple[Coefficient, ...]:
-        return (Coefficient('offset', body.joint_unit(self.where, 'rad')),)
 
     def conceivable(self, body: RigidBody, coefficients: Array) -> bool:
         return float(np.abs(coefficients).max()) < (reach_of(body) if self.where in body.prismatic else MOST_TURN)

@@ -35,6 +35,7 @@ class Payload(Effect):
     is_load: ClassVar[bool] = True
     is_body: ClassVar[bool] = True
     bounded_by_weight: ClassVar[bool] = True
+    names: ClassVar[tuple[Coefficient, ...]] = INERTIAL
     parameter_units: ClassVar[Mapping[str, str]] = dict(INERTIAL)
     positive: ClassVar[tuple[str, ...]] = ('mass',)
 
@@ -45,9 +46,6 @@ class Payload(Effect):
     @classmethod
     def permitted(cls, body: RigidBody) -> Sequence[str | None]:
         return observed_links(body)
-
-    def coefficients(self, body: RigidBody) -> tuple[Coefficient, ...]:
-        return INERTIAL
 
     @property
     def searched(self) -> tuple[str, ...]:
@@ -119,9 +117,7 @@ class ExternalForce(AtPoint):
     from_outside: ClassVar[bool] = True
     bounded_by_weight: ClassVar[bool] = True
     may_start: ClassVar[bool] = True
-
-    def coefficients(self, body: RigidBody) -> tuple[Coefficient, ...]:
-        return tuple(Coefficient(f'force_{axis}', 'N') for axis in 'xyz')
+    names: ClassVar[tuple[Coefficient, ...]] = tuple(Coefficient(f'force_{axis}', 'N') for axis in 'xyz')
 
     def basis(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[Array, Memory]:
         return self.motion(body, samples).force_map, None
@@ -148,13 +144,11 @@ class ViscousDrag(_Drag):
     """Resistance in proportion to speed."""
 
     kind: ClassVar[str] = 'viscous_drag'
+    names: ClassVar[tuple[Coefficient, ...]] = (Coefficient('drag', 'N s/m'),)
     shows_against: ClassVar[Axis] = 'link_velocity'
     sentence: ClassVar[str] = 'the link moves through something viscous'
     mistaken_for: ClassVar[tuple[str, ...]] = ('quadratic_drag', 'time_delay')
     separated_by: ClassVar[str] = 'motion at clearly different speeds'
-
-    def coefficients(self, body: RigidBody) -> tuple[Coefficient, ...]:
-        return (Coefficient('drag', 'N s/m'),)
 
     def resistance(self, velocity: Array) -> Array:
         return -velocity
@@ -164,13 +158,11 @@ class QuadraticDrag(_Drag):
     """Resistance in proportion to the square of the speed."""
 
     kind: ClassVar[str] = 'quadratic_drag'
+    names: ClassVar[tuple[Coefficient, ...]] = (Coefficient('drag', 'N s^2/m^2'),)
     shows_against: ClassVar[Axis] = 'link_velocity'
     sentence: ClassVar[str] = 'the link moves through a fluid that resists with the square of the speed'
     mistaken_for: ClassVar[tuple[str, ...]] = ('viscous_drag', 'time_delay')
     separated_by: ClassVar[str] = 'motion at clearly different speeds'
-
-    def coefficients(self, body: RigidBody) -> tuple[Coefficient, ...]:
-        return (Coefficient('drag', 'N s^2/m^2'),)
 
     def resistance(self, velocity: Array) -> Array:
         return -np.linalg.norm(velocity, axis=1, keepdims=True) * velocity

@@ -154,7 +154,7 @@ class Terms(Effect):
     separated_by: ClassVar[str] = 'a look at the robot: the formula says where to look'
 
     def __post_init__(self) -> None:
-        for term in self.names:
+        for term in self.parameters:
             parse_term(term)
 
     @classmethod
@@ -167,11 +167,6 @@ class Terms(Effect):
         return _EveryTerm((*TIMES, 'TERM'))
 
     @property
-    def names(self) -> tuple[str, ...]:
-        """The terms, in the order of the columns."""
-        return tuple(self.parameters)
-
-    @property
     def searched(self) -> tuple[str, ...]:
         """Return no name: the numbers of terms are coefficients."""
         return ()
@@ -182,22 +177,22 @@ class Terms(Effect):
 
     def check(self, body: RigidBody) -> None:
         super().check(body)
-        for factor in (factor for name in self.names for factor in parse_term(name)):
+        for factor in (factor for name in self.parameters for factor in parse_term(name)):
             if factor.variable != 'time':
                 _joint(factor.variable.split('_', 1)[1], body)
 
     def prior_scale(self, body: RigidBody) -> Array:
-        found = np.array([abs(self.parameters[name]) for name in self.names])
+        found = np.array([abs(value) for value in self.parameters.values()])
         return np.asarray(np.where(found > 0.0, FREEDOM * found, super().prior_scale(body)))
 
     def coefficients(self, body: RigidBody) -> tuple[Coefficient, ...]:
         channel = self._channel(body)
-        return tuple(Coefficient(name, term_unit(name, body, channel)) for name in self.names)
+        return tuple(Coefficient(name, term_unit(name, body, channel)) for name in self.parameters)
 
     def basis(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[Array, Memory]:
-        columns = np.zeros((len(samples), body.n_outputs, len(self.names)))
+        columns = np.zeros((len(samples), body.n_outputs, len(self.parameters)))
         channel = self._channel(body)
-        for column, name in enumerate(self.names):
+        for column, name in enumerate(self.parameters):
             columns[:, channel, column] = term_values(name, body, samples)
         return columns, None
 

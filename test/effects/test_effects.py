@@ -473,7 +473,7 @@ def test_without_a_start_an_effect_is_always_there():
     for start in ('start_s', 'start_stamp_s', 'end_s', 'end_stamp_s'):
         assert effect.with_values(**{start: 3.0}).without_span() == effect
     terms = kinds()['terms']('fx', {'sin(q_r_elbow)': 1.0}, span=Span(start_stamp_s=3.0))
-    assert terms.names == ('sin(q_r_elbow)',)
+    assert tuple(terms.parameters) == ('sin(q_r_elbow)',)
 
 
 BAD_TEXTS = {
