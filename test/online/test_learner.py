@@ -3,7 +3,6 @@
 import importlib
 import os
 import pickle
-import queue
 import signal
 import struct
 import subprocess
@@ -11,7 +10,6 @@ import sys
 import time
 import weakref
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -36,7 +34,16 @@ from semiparam_ros.ros.estimator.subscriptions import ClockWatch
 from semiparam_ros.settings.build import build_estimator, build_rigid_body, model_options
 from semiparam_ros.settings.rules import broken_rule
 from support.learner_stage import Stage
-from support.node_helpers import BODY, PERIOD_NS, SETTINGS, URDF, InlineBackground, at_period, motion
+from support.node_helpers import (
+    BODY,
+    PERIOD_NS,
+    SETTINGS,
+    URDF,
+    InlineBackground,
+    ServedProcess,
+    at_period,
+    motion,
+)
 
 VARIANTS = ('P', 'NP-ML', 'SP-ML', 'SP2-ML', 'SPK-ML')
 
@@ -876,14 +883,11 @@ def resident_mb():
 
 
 def test_a_process_runs_jobs_hands_back_results_and_is_replaced_when_it_dies(tmp_path):
-    tasks = queue.Queue()
-    background, results = ProcessBackground(lambda *task: tasks.put(partial(*task))), []
+    background = ServedProcess()
 
     def run(function, *arguments):
-        background.submit(function, *arguments, done=lambda result, error: results.append((result, error)))
-        while not results:
-            tasks.get(timeout=60)()
-        return results.pop()
+        background.begin(function, *arguments)
+        return background.results_of(1).pop()
 
     assert run(max, 1, 3) == (3, None)
     assert run(os.getpid)[0] != os.getpid()
@@ -892,13 +896,12 @@ def test_a_process_runs_jobs_hands_back_results_and_is_replaced_when_it_dies(tmp
     assert run(use_memory)[1] is None
     assert run(resident_mb)[0] - before < 100.0, 'what a job used is given back'
     process, _ = run(os.getpid)
-    pointless = background.submit(work_for_ever, tmp_path / 'begun', done=lambda result, error: results.append('never'))
-    while not (tmp_path / 'begun').exists():
-        time.sleep(0.01)
+    pointless = background.begin(work_for_ever, tmp_path / 'begun')
+    wait_for(tmp_path / 'begun')
     pointless.cancel()
     assert run(os.getpid) == (process, None)
     # One that is cancelled before the process has begun with it is given up all the same, and what waits comes next.
-    background.submit(work_for_ever, tmp_path / 'again', done=lambda result, error: results.append('never')).cancel()
+    background.begin(work_for_ever, tmp_path / 'again').cancel()
     assert run(os.getpid) == (process, None)
     assert 'died 2 times' in str(run(os._exit, 1)[1])
     assert run(max, 4, 5) == (5, None)
@@ -911,28 +914,24 @@ def test_where_no_process_can_be_begun_each_job_is_told_so(monkeypatch):
         raise BlockingIOError(11, 'Resource temporarily unavailable')
 
     monkeypatch.setattr(worker, '_spawned_worker', refuse)
-    tasks, results = queue.Queue(), []
-    background = ProcessBackground(lambda *task: tasks.put(partial(*task)))
-    for _ in range(2):
-        background.submit(max, 1, 2, done=lambda result, error: results.append((result, str(error))))
-        tasks.get(timeout=60)()
+    background = ServedProcess()
+    for number in range(2):
+        background.begin(max, 1, 2)
+        background.results_of(number + 1)
     background.close()
     told = 'no process can be begun beside the node ([Errno 11] Resource temporarily unavailable).'
-    assert results == [(None, told)] * 2
+    assert [(result, str(error)) for result, error in background.results] == [(None, told)] * 2
 
 
 def test_a_job_whose_process_is_killed_runs_again_and_those_behind_it_run_once(tmp_path):
-    tasks = queue.Queue()
-    background, results = ProcessBackground(lambda *task: tasks.put(partial(*task)), still_s=3.0), []
+    background = ServedProcess(still_s=3.0)
     for name in ('killed', 'second', 'dropped', 'stopped', 'killed while it sends', 'third'):
-        job = background.submit(append_and_perhaps_die, tmp_path / name,
-                                done=lambda result, error: results.append((result, error)))
+        job = background.begin(append_and_perhaps_die, tmp_path / name)
         if name == 'dropped':
             job.cancel()
             dropped = weakref.ref(job)
     assert dropped() is None, 'what it holds is free as soon as the next one comes'
-    while len(results) < 5:
-        tasks.get(timeout=60)()
+    results = background.results_of(5)
     background.close()
     runs = {'killed': 2, 'second': 1, 'stopped': 2, 'killed while it sends': 2, 'third': 1}
     assert results == [(name, None) for name in runs]
@@ -945,8 +944,7 @@ def test_who_ends_waits_for_no_job(tmp_path, stopped):
     background, results = ProcessBackground(lambda *task: None), []
     for name in ('running', 'waiting'):
         background.submit(work_for_ever, tmp_path / name, done=lambda *result: results.append(result))
-    while not (tmp_path / 'running').exists():
-        time.sleep(0.01)
+    wait_for(tmp_path / 'running')
     process = background._process
     if stopped:
         os.kill(process.pid, signal.SIGSTOP)
@@ -955,31 +953,21 @@ def test_who_ends_waits_for_no_job(tmp_path, stopped):
 
 
 def test_what_is_urgent_interrupts_what_is_not_which_begins_anew(tmp_path):
-    tasks = queue.Queue()
-    background, results = ProcessBackground(lambda *task: tasks.put(partial(*task))), []
-
-    def submit(function, *arguments, urgency=Urgency.SHADOW):
-        return background.submit(function, *arguments, done=lambda result, error: results.append(result),
-                                 urgency=urgency)
-
-    submit(wait_until_there, tmp_path / 'begun', tmp_path / 'go on')
-    submit(max, 1, 2)
-    while not (tmp_path / 'begun').exists():
-        time.sleep(0.01)
+    background = ServedProcess()
+    background.begin(wait_until_there, tmp_path / 'begun', tmp_path / 'go on')
+    background.begin(max, 1, 2)
+    wait_for(tmp_path / 'begun')
     (tmp_path / 'begun').unlink()
-    submit(max, 7, 8, urgency=Urgency.ASKED)
+    background.begin(max, 7, 8, urgency=Urgency.ASKED)
     assert not wait_for(tmp_path / 'begun', seconds=0.3), 'who asks comes next, and interrupts nothing'
-    submit(max, 3, 4).urgency = Urgency.TAKES_OVER  # a shadow that succeeds before it is built
-    submit(max, 5, 6, urgency=Urgency.TAKES_OVER)
-    while len(results) < 3:
-        tasks.get(timeout=60)()
-    while not (tmp_path / 'begun').exists():
-        time.sleep(0.01)
+    background.begin(max, 3, 4).urgency = Urgency.TAKES_OVER  # a shadow that succeeds before it is built
+    background.begin(max, 5, 6, urgency=Urgency.TAKES_OVER)
+    background.results_of(3)
+    wait_for(tmp_path / 'begun')
     (tmp_path / 'go on').touch()
-    while len(results) < 5:
-        tasks.get(timeout=60)()
+    results = background.results_of(5)
     background.close()
-    assert results == [4, 6, 8, 'done', 2]
+    assert results == [(result, None) for result in (4, 6, 8, 'done', 2)]
 
 
 def test_what_is_interrupted_while_it_imports_can_be_done_later(tmp_path, monkeypatch):
@@ -989,21 +977,14 @@ def test_what_is_interrupted_while_it_imports_can_be_done_later(tmp_path, monkey
     (package / 'part.py').touch()
     (package / '__init__.py').write_text(IMPORTED.format(begun=tmp_path / 'begun'))
     monkeypatch.syspath_prepend(tmp_path)
-    tasks, results = queue.Queue(), []
-    background = ProcessBackground(lambda *task: tasks.put(partial(*task)))
-
-    def submit(urgency, function, *arguments):
-        return background.submit(function, *arguments, urgency=urgency,
-                                 done=lambda result, error: results.append(error or result))
-    cancelled = submit(Urgency.ASKED, import_and_name, 'slowly')
-    while not (tmp_path / 'begun').exists():
-        time.sleep(0.01)
+    background = ServedProcess()
+    cancelled = background.begin(import_and_name, 'slowly', urgency=Urgency.ASKED)
+    wait_for(tmp_path / 'begun')
     cancelled.cancel()
-    submit(Urgency.ASKED, import_and_name, 'slowly')
-    while not results:
-        tasks.get(timeout=60)()
+    background.begin(import_and_name, 'slowly', urgency=Urgency.ASKED)
+    results = background.results_of(1)
     background.close()
-    assert results == ['slowly']
+    assert results == [('slowly', None)]
 
 
 IMPORTED = """
@@ -1029,7 +1010,7 @@ def test_a_process_that_is_still_loading_does_not_die_of_a_job_that_is_to_give_w
     assert not signal.pthread_sigmask(signal.SIG_BLOCK, []), 'programs of later tests would not hear of Ctrl-C'
 
 
-def wait_for(path, seconds):
+def wait_for(path, seconds=60.0):
     """Whether a file comes in that time."""
     end = time.monotonic() + seconds
     while not path.exists() and time.monotonic() < end:
@@ -1088,9 +1069,7 @@ def test_how_long_a_diagnosis_takes_yet_follows_what_it_gets():
 def wait_until_there(begun, there):
     """In the background process."""
     begun.touch()
-    while not there.exists():
-        time.sleep(0.01)
-    return 'done'
+    return wait_for(there) and 'done'
 
 
 def work_for_ever(path):

@@ -1,8 +1,6 @@
 """Hyperparameters are estimated again when later motion leaves the window that they are from."""
 
-import queue
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
@@ -16,9 +14,9 @@ from semiparam_ros.online.learning import Learning, directions_of
 from semiparam_ros.online.model_jobs import known_of, new_estimator, renew
 from semiparam_ros.online.model_switcher import same_model
 from semiparam_ros.online.renewal import Errors, RecentWindow, later_window
-from semiparam_ros.online.worker import ProcessBackground, Urgency
+from semiparam_ros.online.worker import Urgency
 from support.learner_stage import Stage
-from support.node_helpers import BODY, SETTINGS, InlineBackground, at_period, faster, motion
+from support.node_helpers import BODY, SETTINGS, InlineBackground, ServedProcess, at_period, faster, motion
 
 TAKEOVER_AFTER = 15
 
@@ -62,11 +60,9 @@ def test_once_where_motion_becomes_faster_and_live_as_offline(variant, monkeypat
 
 def test_the_process_gives_a_draft_before_the_window(monkeypatch):
     monkeypatch.setattr('semiparam_ros.online.renewal.LEAST_DRAFT', 1)
-    tasks = queue.Queue()
-    stage, start = Stage(SLOWER, ProcessBackground(lambda *task: tasks.put(partial(*task)))), 0
+    stage, start = Stage(SLOWER, ServedProcess()), 0
     for takeovers, end in enumerate((100, 110, 130)):
-        while len(stage.learner.takeovers) < takeovers:
-            tasks.get(timeout=60)()
+        stage.background.serve(lambda so_many=takeovers: len(stage.learner.takeovers) >= so_many)
         stage.offer(SAMPLES[start:end])
         start = end
     stage.background.close()

@@ -1,9 +1,11 @@
 """A small arm with a motion of its own, for the tests of the node."""
 
 import pickle
+import queue
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -12,7 +14,7 @@ from semiparam_ros.bags.conversion import write_description
 from semiparam_ros.bags.writer import BagWriter
 from semiparam_ros.core.samples import Sample
 from semiparam_ros.experiments.evaluation import AtOnce
-from semiparam_ros.online.worker import Urgency
+from semiparam_ros.online.worker import ProcessBackground, Urgency
 from semiparam_ros.settings import Settings
 from semiparam_ros.settings.build import build_rigid_body
 
@@ -110,6 +112,26 @@ class DelayedBackground:
                 except Exception as caught:
                     result, error = None, caught
                 job.done(result, error)
+
+
+class ServedProcess(ProcessBackground):
+    """The node's process, whose tasks run while the test waits; what its jobs gave, with what went wrong."""
+
+    def __init__(self, **options):
+        self.tasks, self.results = queue.Queue(), []
+        super().__init__(lambda *task: self.tasks.put(partial(*task)), **options)
+
+    def begin(self, function, *arguments, urgency=Urgency.SHADOW):
+        return self.submit(function, *arguments, done=lambda *result: self.results.append(result), urgency=urgency)
+
+    def serve(self, until):
+        while not until():
+            self.tasks.get(timeout=60)()
+
+    def results_of(self, count):
+        """So many results, waited for."""
+        self.serve(lambda: len(self.results) >= count)
+        return self.results
 
 
 def write_bag(path, samples, joints=JOINTS, description=URDF, frame='ft', measured=True, wrench_late_ns=0):
