@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, NamedTuple
 
@@ -107,7 +108,11 @@ class HiddenCause:
     of_joint: ClassVar[bool] = False
     """Mark of kinds whose place is a joint: their units are written for one that turns."""
     quantity: ClassVar[tuple[str, str]]
-    """Name and unit of the magnitude, for a cause of which it is the only value."""
+    """Name and unit of what the magnitude tells."""
+    along: ClassVar[str] = ''
+    """Field by which that is the magnitude times: a sign, a direction."""
+    beside: ClassVar[Mapping[str, str]] = {}
+    """Units of the fields that a diagnosis should find, too."""
 
     @classmethod
     def draw(cls, site: Site) -> HiddenCause:
@@ -125,9 +130,11 @@ class HiddenCause:
         return np.asarray(later & (time < (np.inf if end is None else end)), dtype=float)[:, None]
 
     def parameters(self, magnitude: float) -> dict[str, TrueValue]:
-        """Values that a perfect diagnosis would find, by name; here the magnitude alone."""
+        """Values that a perfect diagnosis would find, by name."""
         name, unit = self.quantity
-        return {name: TrueValue(magnitude, unit)}
+        value = magnitude * getattr(self, self.along) if self.along else magnitude
+        return {name: TrueValue(value, unit),
+                **{other: TrueValue(getattr(self, other), its) for other, its in self.beside.items()}}
 
     def true_values(self, magnitude: float, world: World) -> dict[str, TrueValue]:
         """The same in the units of its place in a world; a phase is an angle all the same."""

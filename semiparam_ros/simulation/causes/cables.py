@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from semiparam_ros.core.types import Array
-from semiparam_ros.simulation.causes.base import HiddenCause, Site, TrueValue
+from semiparam_ros.simulation.causes.base import HiddenCause, Site
 from semiparam_ros.simulation.causes.forces import FrameForce
 from semiparam_ros.simulation.fine_states import bouc_wen, fine_motion, sampled
 from semiparam_ros.simulation.trajectory import Instants, unit_vector
@@ -21,6 +21,7 @@ class HiddenCableSpring(FrameForce):
     """An elastic cable runs from a point in the room to a link: f = k (length - rest length) towards the point."""
 
     kind = 'cable_spring'
+    quantity, beside = ('stiffness', 'N/m'), {'rest_length': 'm', 'anchor': 'm'}
     anchor: Array
     rest_length: float
 
@@ -36,16 +37,13 @@ class HiddenCableSpring(FrameForce):
         length = np.linalg.norm(rope, axis=1)[:, None]
         return np.asarray(np.maximum(length - self.rest_length, 0.0) * rope / length)
 
-    def parameters(self, magnitude: float) -> dict[str, TrueValue]:
-        return {'stiffness': TrueValue(magnitude, 'N/m'), 'rest_length': TrueValue(self.rest_length, 'm'),
-                'anchor': TrueValue(self.anchor, 'm')}
-
 
 @dataclass(frozen=True)
 class HiddenCableHysteresis(FrameForce):
     """A cable whose strands rub: its tension follows a Bouc-Wen state of the elongation."""
 
     kind = 'cable_hysteresis'
+    quantity, beside = ('stiffness', 'N/m'), {'yield_length': 'm', 'anchor': 'm'}
     anchor: Array
     yield_length: float
     beta: float
@@ -63,10 +61,6 @@ class HiddenCableHysteresis(FrameForce):
         tension = sampled(fine.time, bouc_wen(lengths, self.yield_length, self.beta), motion.time)
         rope = self.anchor - world.arm.pose(str(self.where), motion.position).place
         return np.asarray(tension[:, None] * rope / np.linalg.norm(rope, axis=1)[:, None])
-
-    def parameters(self, magnitude: float) -> dict[str, TrueValue]:
-        return {'stiffness': TrueValue(magnitude, 'N/m'), 'yield_length': TrueValue(self.yield_length, 'm'),
-                'anchor': TrueValue(self.anchor, 'm')}
 
 
 def drawn_anchor(site: Site, frame: str) -> tuple[Array, Array]:

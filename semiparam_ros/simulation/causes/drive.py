@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from semiparam_ros.core.types import Array
-from semiparam_ros.simulation.causes.base import Site, TrueValue
+from semiparam_ros.simulation.causes.base import Site
 from semiparam_ros.simulation.causes.friction import JointTorque
 from semiparam_ros.simulation.fine_states import fine_motion, play, sampled
 from semiparam_ros.simulation.trajectory import Instants
@@ -35,7 +35,8 @@ class HiddenJointSpring(JointTorque):
     """A spring pulls the joint to a rest position: the motor holds k (q - rest)."""
 
     kind = 'joint_spring'
-    rest: float
+    quantity, beside = ('stiffness', 'N m/rad'), {'rest_position': 'rad'}
+    rest_position: float
 
     @classmethod
     def drawn(cls, site: Site, joint: int) -> tuple[Any, ...]:
@@ -43,10 +44,7 @@ class HiddenJointSpring(JointTorque):
         return (float(angle.mean() + site.rng.uniform(-1.5, 1.5) * angle.std()),)
 
     def torque(self, world: World, motion: Instants, efforts: Array) -> Array:
-        return np.asarray(motion.position[:, self.joint] - self.rest)
-
-    def parameters(self, magnitude: float) -> dict[str, TrueValue]:
-        return {'stiffness': TrueValue(magnitude, 'N m/rad'), 'rest_position': TrueValue(self.rest, 'rad')}
+        return np.asarray(motion.position[:, self.joint] - self.rest_position)
 
 
 @dataclass(frozen=True)
@@ -54,6 +52,7 @@ class HiddenEffortOffset(JointTorque):
     """The current sensor of one motor has a bias."""
 
     kind = 'effort_offset'
+    quantity, along = ('offset', 'N m'), 'sign'
     sign: float
 
     @classmethod
@@ -63,15 +62,13 @@ class HiddenEffortOffset(JointTorque):
     def torque(self, world: World, motion: Instants, efforts: Array) -> Array:
         return np.full(len(motion.time), self.sign)
 
-    def parameters(self, magnitude: float) -> dict[str, TrueValue]:
-        return {'offset': TrueValue(self.sign * magnitude, 'N m')}
-
 
 @dataclass(frozen=True)
 class HiddenEffortGain(JointTorque):
     """The torque constant of one motor is off."""
 
     kind = 'effort_gain'
+    quantity, along = ('gain', '1'), 'sign'
     typical = 0.1
     sign: float
 
@@ -82,15 +79,13 @@ class HiddenEffortGain(JointTorque):
     def torque(self, world: World, motion: Instants, efforts: Array) -> Array:
         return np.asarray(self.sign * efforts[:, self.joint])
 
-    def parameters(self, magnitude: float) -> dict[str, TrueValue]:
-        return {'gain': TrueValue(self.sign * magnitude, '1')}
-
 
 @dataclass(frozen=True)
 class HiddenTransmissionRipple(JointTorque):
     """A gear runs unevenly: a torque periodic in the joint's angle."""
 
     kind = 'transmission_ripple'
+    quantity, beside = ('amplitude', 'N m'), {'order': '1/revolution', 'phase': 'rad'}
     order: int
     phase: float
 
@@ -101,10 +96,6 @@ class HiddenTransmissionRipple(JointTorque):
     def torque(self, world: World, motion: Instants, efforts: Array) -> Array:
         return np.asarray(np.sin(self.order * motion.position[:, self.joint] + self.phase))
 
-    def parameters(self, magnitude: float) -> dict[str, TrueValue]:
-        return {'amplitude': TrueValue(magnitude, 'N m'), 'order': TrueValue(self.order, '1/revolution'),
-                'phase': TrueValue(self.phase, 'rad')}
-
 
 @dataclass(frozen=True)
 class HiddenBacklash(JointTorque):
@@ -112,6 +103,7 @@ class HiddenBacklash(JointTorque):
     output until the teeth meet again on the other flank."""
 
     kind = 'backlash'
+    quantity, beside = ('torque', 'N m'), {'gap': 'rad'}
     gap: float
 
     @classmethod
@@ -124,6 +116,3 @@ class HiddenBacklash(JointTorque):
         width = CONTACT_SHARE * self.gap
         upper, lower = np.maximum(1 - (self.gap - inside) / width, 0.0), np.maximum(1 - inside / width, 0.0)
         return sampled(fine.time, upper - lower, motion.time)
-
-    def parameters(self, magnitude: float) -> dict[str, TrueValue]:
-        return {'torque': TrueValue(magnitude, 'N m'), 'gap': TrueValue(self.gap, 'rad')}

@@ -21,6 +21,7 @@ class HiddenPayload(HiddenCause):
     """A solid ball is picked up: a real body of the multi-body model until it is put down."""
 
     kind = 'payload'
+    quantity, beside = ('mass', 'kg'), {'centre': 'm'}
     can_start = can_end = True
     linear = True
     typical = 0.1
@@ -36,9 +37,6 @@ class HiddenPayload(HiddenCause):
         end = np.inf if self.end_s is None else self.end_s
         ball_in_hand = AttachedBody(str(self.where), inertia, float(self.start_s or 0.0), end)
         return world.changed(bodies=(*world.bodies, ball_in_hand))
-
-    def parameters(self, magnitude: float) -> dict[str, TrueValue]:
-        return {'mass': TrueValue(magnitude, 'kg'), 'centre': TrueValue(self.centre, 'm')}
 
 
 @dataclass(frozen=True)
@@ -65,6 +63,7 @@ class HiddenExternalForce(FrameForce):
     """Constant force, its direction fixed in the room."""
 
     kind = 'external_force'
+    quantity, along = ('force', 'N'), 'direction'
     direction: Array
 
     @classmethod
@@ -73,9 +72,6 @@ class HiddenExternalForce(FrameForce):
 
     def force(self, world: World, motion: Instants) -> Array:
         return np.broadcast_to(self.direction, (len(motion.time), 3))
-
-    def parameters(self, magnitude: float) -> dict[str, TrueValue]:
-        return {'force': TrueValue(magnitude * self.direction, 'N')}
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ class HiddenJointOffset(HiddenCause):
     """An encoder's zero is wrong: the joint stands elsewhere than reported."""
 
     kind = 'joint_offset'
+    quantity, along = ('offset', 'rad'), 'sign'
     typical = 0.03
     of_joint = True
     joint: int
@@ -31,9 +32,6 @@ class HiddenJointOffset(HiddenCause):
         shift = world.joint_shift.copy()
         shift[self.joint] += self.sign * magnitude
         return world.changed(joint_shift=shift)
-
-    def parameters(self, magnitude: float) -> dict[str, TrueValue]:
-        return {'offset': TrueValue(self.sign * magnitude, 'rad')}
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from semiparam_ros.core.types import Array
-from semiparam_ros.simulation.causes.base import HiddenCause, Site, TrueValue
+from semiparam_ros.simulation.causes.base import HiddenCause, Site
 from semiparam_ros.simulation.trajectory import Instants, unit_vector
 from semiparam_ros.simulation.world import World
 
@@ -22,6 +22,7 @@ class Bias(HiddenCause):
     can_start = True
     linear = True
     typical = 0.1
+    along = 'direction'
     direction: Array
 
     def course(self, world: World) -> Array:
@@ -46,6 +47,7 @@ class HiddenSensorOffset(Bias):
     """The sensor is overloaded or zeroed again: its offset jumps."""
 
     kind = 'sensor_offset'
+    quantity = ('offset', 'N, N m')
     can_end = True
 
     @classmethod
@@ -55,15 +57,13 @@ class HiddenSensorOffset(Bias):
     def course(self, world: World) -> Array:
         return self.acting(world.times)
 
-    def parameters(self, magnitude: float) -> dict[str, TrueValue]:
-        return {'offset': TrueValue(magnitude * self.direction, 'N, N m')}
-
 
 @dataclass(frozen=True)
 class HiddenSensorDrift(Bias):
     """The offset creeps at a constant rate."""
 
     kind = 'sensor_drift'
+    quantity = ('rate', 'N/s, N m/s')
     typical = 1e-3
 
     @classmethod
@@ -73,16 +73,14 @@ class HiddenSensorDrift(Bias):
     def course(self, world: World) -> Array:
         return np.maximum(world.times - (self.start_s or 0.0), 0.0)[:, None]
 
-    def parameters(self, magnitude: float) -> dict[str, TrueValue]:
-        return {'rate': TrueValue(magnitude * self.direction, 'N/s, N m/s')}
-
 
 @dataclass(frozen=True)
 class HiddenThermalDrift(Bias):
     """The electronics warm up: a first-order thermal state T' = (1 - T) / time constant moves the offset."""
 
     kind = 'thermal_drift'
-    time_constant: float
+    quantity, beside = ('drift', 'N, N m'), {'time_constant_s': 's'}
+    time_constant_s: float
 
     @classmethod
     def draw(cls, site: Site) -> HiddenCause:
@@ -90,12 +88,8 @@ class HiddenThermalDrift(Bias):
         return cls(None, site.start_s, cls.random_direction(site), time_constant)
 
     def course(self, world: World) -> Array:
-        warm = np.maximum(world.times - (self.start_s or 0.0), 0.0) / self.time_constant
+        warm = np.maximum(world.times - (self.start_s or 0.0), 0.0) / self.time_constant_s
         return np.asarray(-np.expm1(-warm))[:, None]
-
-    def parameters(self, magnitude: float) -> dict[str, TrueValue]:
-        return {'drift': TrueValue(magnitude * self.direction, 'N, N m'),
-                'time_constant_s': TrueValue(self.time_constant, 's')}
 
 
 @dataclass(frozen=True)
@@ -121,6 +115,7 @@ class HiddenSensorGain(ReadingMatrix):
     """One channel's amplifier is off."""
 
     kind = 'sensor_gain'
+    quantity, along = ('gain', '1'), 'sign'
     channel: int
     sign: float
 
@@ -134,15 +129,13 @@ class HiddenSensorGain(ReadingMatrix):
         matrix[self.channel, self.channel] += self.sign * magnitude
         return matrix
 
-    def parameters(self, magnitude: float) -> dict[str, TrueValue]:
-        return {'gain': TrueValue(self.sign * magnitude, '1')}
-
 
 @dataclass(frozen=True)
 class HiddenSensorCrosstalk(ReadingMatrix):
     """The calibration matrix is wrong off its diagonal: every channel hears the others."""
 
     kind = 'sensor_crosstalk'
+    quantity, along = ('crosstalk', 'rows and columns N, N m'), 'pattern'
     takes_place = False
     pattern: Array
 
@@ -155,15 +148,13 @@ class HiddenSensorCrosstalk(ReadingMatrix):
     def matrix(self, magnitude: float) -> Array:
         return np.asarray(np.eye(6) + magnitude * self.pattern)
 
-    def parameters(self, magnitude: float) -> dict[str, TrueValue]:
-        return {'crosstalk': TrueValue(magnitude * self.pattern, 'rows and columns N, N m')}
-
 
 @dataclass(frozen=True)
 class HiddenSensorMisalignment(ReadingMatrix):
     """The sensor is mounted turned about an axis; force and torque arrive in turned axes."""
 
     kind = 'sensor_misalignment'
+    quantity, along = ('rotation_vector', 'rad'), 'axis'
     takes_place = False
     linear = False
     axis: Array
@@ -175,6 +166,3 @@ class HiddenSensorMisalignment(ReadingMatrix):
     def matrix(self, magnitude: float) -> Array:
         turn = Rotation.from_rotvec(magnitude * self.axis).as_matrix()
         return np.asarray(np.kron(np.eye(2), turn.T))
-
-    def parameters(self, magnitude: float) -> dict[str, TrueValue]:
-        return {'rotation_vector': TrueValue(magnitude * self.axis, 'rad')}

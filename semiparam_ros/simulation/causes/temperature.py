@@ -58,6 +58,7 @@ class HiddenTemperatureDrift(Bias):
     """The strain gauges' bias follows the sensor's temperature."""
 
     kind = 'temperature_drift'
+    quantity, beside = ('drift', 'N/K, N m/K'), {'reference_c': 'deg C'}
     can_start = False
     by_temperature = True
     typical = 0.01
@@ -69,7 +70,3 @@ class HiddenTemperatureDrift(Bias):
 
     def course(self, world: World) -> Array:
         return warmer(world, world.times, 0)[:, None]
-
-    def parameters(self, magnitude: float) -> dict[str, TrueValue]:
-        return {'drift': TrueValue(magnitude * self.direction, 'N/K, N m/K'),
-                'reference_c': TrueValue(self.reference_c, 'deg C')}

@@ -24,6 +24,7 @@ class Bump(FrameForce):
     """The link brushes against something soft at one place: a force of Gaussian shape in the link's position."""
 
     kind = 'bump'
+    quantity, along, beside = ('force', 'N'), 'direction', {'centre': 'm', 'width': 'm'}
     direction: Array
     centre: Array
     width: float
@@ -40,10 +41,6 @@ class Bump(FrameForce):
         away = world.arm.pose(str(self.where), motion.position).place - self.centre
         touch = np.exp(-0.5 * np.sum(away**2, axis=1) / self.width**2)
         return np.asarray(touch[:, None] * self.direction)
-
-    def parameters(self, magnitude: float) -> dict[str, TrueValue]:
-        return {'force': TrueValue(magnitude * self.direction, 'N'), 'centre': TrueValue(self.centre, 'm'),
-                'width': TrueValue(self.width, 'm')}
 
 
 @dataclass(frozen=True)
