@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict
+from itertools import groupby
 from typing import NamedTuple
 
 from semiparam_ros import __version__
@@ -185,13 +186,7 @@ def _count(number: int, noun: str) -> str:
 
 def _groups(headings: list[str]) -> list[tuple[str, int]]:
     """Equal neighbouring headings with their number, for cells that span columns."""
-    groups: list[tuple[str, int]] = []
-    for heading in headings:
-        if groups and groups[-1][0] == heading:
-            groups[-1] = (heading, groups[-1][1] + 1)
-        else:
-            groups.append((heading, 1))
-    return groups
+    return [(heading, len(list(group))) for heading, group in groupby(headings)]
 
 
 def _hyperparameters(one: VariantFigures) -> dict[str, str]:

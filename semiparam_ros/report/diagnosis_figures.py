@@ -127,18 +127,14 @@ def _temperature(effect: Effect, fit: Fit) -> Variable:
     return Variable(f'temperature of {effect.where or "the sensor"} [deg C]', known)
 
 
-def _any(effect: Effect, fit: Fit) -> list[Variable]:
-    return [_time(fit), *(variable for role in ('position', 'velocity', 'acceleration')
-                          for variable in _joints(effect, fit, role))]
-
-
 def _predicted(fit: Fit) -> Array:
     """Outputs (N, n) as the fit predicts them."""
     return np.asarray(fit.samples.outputs - fit.residual)
 
 
 VARIABLES: dict[Axis, Callable[[Effect, Fit, int], list[Variable]]] = {
-    'any': lambda effect, fit, channel: _any(effect, fit),
+    'any': lambda effect, fit, channel: [_time(fit), *(variable for role in QUANTITIES
+                                                       for variable in _joints(effect, fit, role))],
     'time': lambda effect, fit, channel: [_time(fit)],
     'temperature': lambda effect, fit, channel: [_temperature(effect, fit)],
     'position': lambda effect, fit, channel: _joints(effect, fit, 'position'),
@@ -271,9 +267,10 @@ def foremost(step: Step) -> list[Trial]:
     return [*worth[:MOST_BARS], *later]
 
 
-def outputs_of(diagnosis: Diagnosis, labels: list[str]) -> Figure:
+def outputs_of(diagnosis: Diagnosis) -> Figure:
     """Held-out error of each output over its standard deviation: before, after, and the noise floor."""
-    before, after, rows = diagnosis.before, diagnosis.after, np.arange(len(labels))
+    before, after, labels = diagnosis.before, diagnosis.after, diagnosis.first.body.output_names
+    rows = np.arange(len(labels))
     spread = np.sqrt(after.variance)
     marks = curves(before.rmse / spread, after.rmse / spread, bool(diagnosis.steps))
     floor = diagnosis.noise_floor_rmse / spread

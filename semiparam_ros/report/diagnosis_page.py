@@ -159,7 +159,8 @@ def diagnosis_page(diagnosis: Diagnosis, variants: Mapping[str, VariantErrors], 
     return environment().get_template('diagnosis.html.j2').render(
         version=__version__, title=title, verdict=diagnosis.verdict, opening=opening, words=words,
         summary=table_rows(diagnosis), next=next_step(diagnosis, written),
-        headline=_headline(diagnosis), outputs=_outputs(diagnosis), rows=output_rows(diagnosis),
+        headline=_headline(diagnosis), rows=output_rows(diagnosis),
+        outputs=picture('Error of each output', 'outputs', figures.outputs_of(diagnosis), ''),
         rounds=round_rows(diagnosis), over_time=_over_time(diagnosis),
         findings=[_against_variable(diagnosis, suspicion, number)
                   for number, suspicion in enumerate(suspicions(diagnosis))],
@@ -180,11 +181,6 @@ def _headline(diagnosis: Diagnosis) -> dict[str, float]:
 def _labels(diagnosis: Diagnosis) -> list[str]:
     body = diagnosis.first.body
     return [f'{name} [{unit}]' for name, unit in zip(body.output_names, body.output_units, strict=True)]
-
-
-def _outputs(diagnosis: Diagnosis) -> Picture:
-    figure = figures.outputs_of(diagnosis, list(diagnosis.first.body.output_names))
-    return picture('Error of each output', 'outputs', figure, '')
 
 
 def _over_time(diagnosis: Diagnosis) -> list[Picture]:

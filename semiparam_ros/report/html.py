@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from typing import Any, NamedTuple
 
 import matplotlib
@@ -47,11 +46,9 @@ def picture(title: str, name: str, figure: Figure, caption: str) -> Picture:
     return Picture(title, Markup(inline_svg(figure, name, title.replace('"', ''))), caption)
 
 
-@contextmanager
-def page_style() -> Iterator[None]:
+def page_style() -> AbstractContextManager[None]:
     """Figures made within look like the page."""
-    with matplotlib.rc_context(STYLE):
-        yield
+    return matplotlib.rc_context(STYLE)
 
 
 def inline_svg(figure: Figure, name: str, description: str) -> str:

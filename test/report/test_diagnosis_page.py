@@ -187,8 +187,8 @@ def test_an_output_that_never_changes_where_it_is_judged_stretches_no_axis(clean
     outputs = clean.after.outputs.copy()
     outputs[:, 2] = 1.0
     constant = replace(clean, before=replace(clean.after, outputs=outputs))
-    (panel,) = figures.outputs_of(constant, list(clean.first.body.output_names)).axes
-    (ordinary,) = figures.outputs_of(clean, list(clean.first.body.output_names)).axes
+    (panel,) = figures.outputs_of(constant).axes
+    (ordinary,) = figures.outputs_of(clean).axes
     assert panel.get_xlim()[0] >= ordinary.get_xlim()[0] > 0.0
 
 
