@@ -18,7 +18,7 @@ from semiparam_ros.effects import effect_from_text, kinds
 from semiparam_ros.experiments.scoreboard import body_of, samples_of
 from semiparam_ros.simulation.scenario import EffectRequest, Scenario
 from semiparam_ros.simulation.simulate import simulate, true_arm
-from support.arms import TWO_ARMS, TWO_ARMS_JOINTS, smooth_motion
+from support.arms import TWO_ARMS, TWO_ARMS_JOINTS, noisy, smooth_motion
 
 JOINTS = ('r_shoulder_pitch', 'r_shoulder_roll', 'r_shoulder_yaw', 'r_elbow')
 PICKED_UP_S = 42.0
@@ -49,8 +49,7 @@ def test_a_load_is_named_at_either_hand(hand):
     exact = body.outputs_of(motion, body.base_parameters)
     carried = np.array([1.5, 0.0, 0.0, 0.15, 0.02, 0.0, 0.02, 0.0, 0.0, 0.005])
     load = kinds()['payload'](hand).columns(body, motion, None)[0] @ carried
-    noise = 0.01 * exact.std(axis=0) * np.random.default_rng(0).standard_normal(exact.shape)
-    samples = replace(motion, outputs=exact + noise + load * (motion.time >= 25.0)[:, None])
+    samples = replace(motion, outputs=noisy(exact) + load * (motion.time >= 25.0)[:, None])
     named = name_change(body, samples, [], 25.5)
     assert named.effect is not None and (named.effect.kind, named.effect.where) == ('payload', hand)
     assert named.parameters['mass'].value == pytest.approx(1.5, rel=0.02)
@@ -63,8 +62,7 @@ def test_a_load_is_over_where_it_weighed_something(put_down):
     motion, known = smooth_motion(5, 800), kinds()['payload']('a_fore')
     exact, there = body.outputs_of(motion, body.base_parameters), (motion.time < 25.0) == put_down
     load = known.columns(body, motion, None)[0] @ np.array([1.5, 0.0, 0.0, 0.15, 0.02, 0.0, 0.02, 0.0, 0.0, 0.005])
-    noise = 0.01 * exact.std(axis=0) * np.random.default_rng(0).standard_normal(exact.shape)
-    samples = replace(motion, outputs=exact + noise + load * there[:, None])
+    samples = replace(motion, outputs=noisy(exact) + load * there[:, None])
     fit = starting_fit(body, samples, [known], np.ones(len(samples), dtype=bool))
     assert (change._over(fit, known, (25.5, 25.5)) is not None) == put_down
 
@@ -76,8 +74,7 @@ def test_a_zero_slips_at_any_joint_whatever_links_are_called():
     motion = smooth_motion(5, 800)
     turned = motion.position + np.deg2rad([0.0, 4.0, 0.0, 0.0, 0.0]) * (motion.time >= 25.0)[:, None]
     exact = body.outputs_of(replace(motion, position=turned), body.base_parameters)
-    noise = 0.01 * exact.std(axis=0) * np.random.default_rng(0).standard_normal(exact.shape)
-    named = name_change(body, replace(motion, outputs=exact + noise), [], 25.5)
+    named = name_change(body, replace(motion, outputs=noisy(exact)), [], 25.5)
     assert named.effect is not None and (named.effect.kind, named.effect.where) == ('zero_slip', 'a_shoulder')
     assert named.parameters['offset'].value == pytest.approx(np.deg2rad(4.0), rel=0.1)
 

@@ -52,6 +52,7 @@ from support.arms import (
     TWO_ARMS_JOINTS,
     as_recorded,
     icub,
+    noisy,
     smooth_motion,
 )
 from support.node_helpers import BODY as SMALL_ARM
@@ -827,8 +828,7 @@ def test_a_force_has_a_point_of_application_whatever_links_are_called():
     body = RigidBody.from_urdf(TWO_ARMS.replace('b_fore', 'b_elbow'), TWO_ARMS_JOINTS, 'effort')
     motion, point = smooth_motion(5, 800), {'x': 0.1, 'y': 0.0, 'z': 0.25}
     exact, force = body.outputs_of(motion, body.base_parameters), kinds()['external_force']('b_elbow', point)
-    noise = 0.01 * exact.std(axis=0) * np.random.default_rng(0).standard_normal(exact.shape)
-    outputs = exact + noise + force.columns(body, motion, None)[0] @ [3.0, -2.0, 5.0]
+    outputs = noisy(exact) + force.columns(body, motion, None)[0] @ [3.0, -2.0, 5.0]
     (found,) = diagnose(body, replace(motion, outputs=outputs), only=('external_force',)).findings
     assert found.effect.where == 'b_elbow' and found.effect.parameters == pytest.approx(point, abs=2e-3)
 

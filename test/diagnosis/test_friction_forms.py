@@ -17,7 +17,7 @@ from semiparam_ros.diagnosis.search.stepwise import starting_fit
 from semiparam_ros.effects import kinds
 from semiparam_ros.effects.friction import CoulombFriction, ViscousFriction
 from semiparam_ros.effects.geometry import TimeDelay
-from support.arms import ODD_ARM, ODD_JOINTS, as_recorded, joint, link, smooth_motion
+from support.arms import ODD_ARM, ODD_JOINTS, as_recorded, joint, link, noisy, smooth_motion
 
 BODY = RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, 'effort')
 COUNT, TURN = 1500, 0.02
@@ -32,8 +32,7 @@ def rubbing(lead_s=0.0, delay_s=0.0):
     _, inputs, _ = TimeDelay(None, {'delay_s': delay_s}).correct(BODY, replace(motion, whole=True), None)
     exact = BODY.regressors(inputs) @ BODY.base_parameters
     exact += 3.0 * np.tanh((inputs.velocity + lead_s * inputs.acceleration) / TURN)
-    noise = 0.003 * exact.std(axis=0) * np.random.default_rng(1).standard_normal(exact.shape)
-    return replace(motion, outputs=exact + noise, whole=True)
+    return replace(motion, outputs=noisy(exact, 0.003, seed=1), whole=True)
 
 
 def fitted(samples, delay_s=None, lead_s=None, turn_speed=TURN):
@@ -172,8 +171,7 @@ def test_a_joint_that_turns_back_is_no_touch():
     """Eleven touches were told, wherever friction of another form than the model's turned over beside little noise."""
     motion = smooth_motion(4, COUNT, seed=0, speed=0.1)
     exact = BODY.regressors(motion) @ BODY.base_parameters + 3.0 * np.tanh(motion.velocity / (1.5 * TURN))
-    noise = 0.001 * exact.std(axis=0) * np.random.default_rng(1).standard_normal(exact.shape)
-    samples = replace(motion, outputs=exact + noise, whole=True)
+    samples = replace(motion, outputs=noisy(exact, 0.001, seed=1), whole=True)
     assert contacts(fitted(samples)) == []
     touched = samples.outputs + 5.0 * ((samples.time > 30.0) & (samples.time < 30.8))[:, None]
     assert [contact.joint for contact in contacts(fitted(replace(samples, outputs=touched)))] == [BODY.joints[-1]]

@@ -22,7 +22,7 @@ from semiparam_ros.errors import SemiparamError
 from semiparam_ros.experiments.scoreboard import body_of, samples_of
 from semiparam_ros.simulation.scenario import EffectRequest, Scenario
 from semiparam_ros.simulation.simulate import simulate
-from support.arms import TWO_ARMS, TWO_ARMS_JOINTS, pinocchio_efforts, smooth_motion
+from support.arms import TWO_ARMS, TWO_ARMS_JOINTS, noisy, pinocchio_efforts, smooth_motion
 
 COMPETITORS = ['joint_offset', 'gravity_tilt', 'time_delay', 'payload', 'external_force']
 
@@ -89,10 +89,9 @@ def test_a_joint_is_coupled_to_the_one_that_carries_it_in_whichever_order_joints
 @pytest.mark.parametrize('frequency', [12.0, 33.0])
 def test_a_shake_of_averaged_samples_is_told_as_it_was_recorded(frequency):
     """Means of five samples keep nine tenths of 12 Hz, and read 33 Hz as 7 Hz of a fifth of its size."""
-    body, size, rng = RigidBody.from_urdf(TWO_ARMS, TWO_ARMS_JOINTS[:3], 'effort'), 0.5, np.random.default_rng(0)
+    body, size = RigidBody.from_urdf(TWO_ARMS, TWO_ARMS_JOINTS[:3], 'effort'), 0.5
     motion = smooth_motion(3, 6000, rate=200.0, speed=0.5)
-    outputs = body.regressors(motion) @ body.base_parameters
-    outputs += 0.01 * outputs.std(axis=0) * rng.standard_normal(outputs.shape)
+    outputs = noisy(body.regressors(motion) @ body.base_parameters)
     outputs[:, 1] += size * np.sin(2.0 * np.pi * frequency * motion.time)
     found = diagnose(body, replace(motion, outputs=outputs), only=['periodic_disturbance'])
     assert names(found) == [('periodic_disturbance', 'a_shoulder')] and found.inputs.factor == 5
@@ -103,10 +102,9 @@ def test_a_shake_of_averaged_samples_is_told_as_it_was_recorded(frequency):
 
 def test_a_ripple_of_averaged_samples_is_told_as_it_was_recorded():
     """Means of 25 samples keep less of it the faster the joint is: 0.48 N m were told."""
-    body, rng = RigidBody.from_urdf(TWO_ARMS, TWO_ARMS_JOINTS[:3], 'effort'), np.random.default_rng(0)
+    body = RigidBody.from_urdf(TWO_ARMS, TWO_ARMS_JOINTS[:3], 'effort')
     motion = smooth_motion(3, 20_000, rate=1000.0, speed=0.5)
-    outputs = body.regressors(motion) @ body.base_parameters
-    outputs += 0.05 * outputs.std(axis=0) * rng.standard_normal(outputs.shape)
+    outputs = noisy(body.regressors(motion) @ body.base_parameters, 0.05)
     outputs[:, 1] += 0.5 * np.sin(60.0 * motion.position[:, 1])
     found = diagnose(body, replace(motion, outputs=outputs), only=['transmission_ripple'])
     assert names(found) == [('transmission_ripple', 'a_shoulder')] and found.inputs.factor == 25
@@ -202,9 +200,8 @@ def test_the_link_that_was_touched_is_that_of_the_arm_whatever_the_order_of_the_
     """Of joints named from the tip on it was the one next to the base."""
     body = RigidBody.from_urdf(TWO_ARMS, TWO_ARMS_JOINTS[::-1], 'effort')
     samples = smooth_motion(5, 800)
-    outputs = body.outputs_of(samples, body.base_parameters)
-    outputs += 0.01 * outputs.std(axis=0) * np.random.default_rng(0).standard_normal(outputs.shape)
-    touched = outputs + [0.0, 0.0, 4.0, 6.0, 3.0] * ((samples.time > 20.0) & (samples.time < 20.8))[:, None]
+    touched = noisy(body.outputs_of(samples, body.base_parameters)) + [
+        0.0, 0.0, 4.0, 6.0, 3.0] * ((samples.time > 20.0) & (samples.time < 20.8))[:, None]
     fit = starting_fit(body, replace(samples, outputs=touched), [], np.ones(800, dtype=bool))
     assert [contact.joint for contact in contacts(fit)] == ['a_elbow']
 

@@ -35,7 +35,7 @@ from semiparam_ros.settings import load_params
 from semiparam_ros.settings.build import build_rigid_body
 from semiparam_ros.simulation.scenario import EffectRequest, Scenario
 from semiparam_ros.simulation.simulate import simulate
-from support.arms import ODD_ARM, ODD_JOINTS, smooth_motion
+from support.arms import ODD_ARM, ODD_JOINTS, noisy, smooth_motion
 from support.plain_calibration import further_calibrated_error
 from support.plain_model import nmse, plain_model
 
@@ -47,9 +47,7 @@ RUBBING = ('viscous_friction', 'coulomb_friction', 'stribeck_friction', 'asymmet
 def moving(seed=0):
     """An odd arm in motion; its efforts with 1 % of noise."""
     motion = smooth_motion(4, COUNT, seed=seed, speed=0.5)
-    exact = BODY.regressors(motion) @ BODY.base_parameters
-    noise = 0.01 * exact.std(axis=0) * np.random.default_rng(seed).standard_normal(exact.shape)
-    return replace(motion, outputs=exact + noise)
+    return replace(motion, outputs=noisy(BODY.regressors(motion) @ BODY.base_parameters, seed=seed))
 
 
 def rubbing(samples, coulomb, viscous, turn_speed=0.01):
@@ -505,9 +503,8 @@ def test_a_joint_that_moves_in_one_block_alone_does_not_hide_what_all_others_gai
     for values in (position, velocity, acceleration):
         values[:, 1] *= factor
     still = replace(samples, position=position, velocity=velocity, acceleration=acceleration)
-    outputs = BODY.regressors(still) @ (1.5 * BODY.base_parameters)
-    noise = 0.02 * outputs.std(axis=0) * np.random.default_rng(1).standard_normal(outputs.shape)
-    recorded = rubbing(replace(still, outputs=outputs + noise), 3.0, 0.0)
+    outputs = noisy(BODY.regressors(still) @ (1.5 * BODY.base_parameters), 0.02, seed=1)
+    recorded = rubbing(replace(still, outputs=outputs), 3.0, 0.0)
     friction = [kinds()['coulomb_friction'](joint, {'turn_speed': 0.01}) for joint in BODY.joints]
     plain = starting_fit(BODY, recorded, [], np.ones(COUNT, dtype=bool))
     with_friction = declare(plain, friction)

@@ -32,7 +32,7 @@ from semiparam_ros.diagnosis.search.scoring import Trial, worth_refining
 from semiparam_ros.diagnosis.search.stepwise import starting_fit
 from semiparam_ros.effects import kinds
 from semiparam_ros.effects.base import Span
-from support.arms import ODD_ARM, ODD_JOINTS, smooth_motion
+from support.arms import ODD_ARM, ODD_JOINTS, noisy, smooth_motion
 
 BODY = RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, 'effort')
 COUNT = 1200
@@ -41,9 +41,7 @@ KINDS = kinds('effort')
 
 def moving(seed=0, noise=0.01):
     motion = smooth_motion(4, COUNT, seed=seed, speed=0.5)
-    exact = BODY.regressors(motion) @ BODY.base_parameters
-    errors = noise * exact.std(axis=0) * np.random.default_rng(seed).standard_normal(exact.shape)
-    return replace(motion, outputs=exact + errors)
+    return replace(motion, outputs=noisy(BODY.regressors(motion) @ BODY.base_parameters, noise, seed))
 
 
 def fitted(samples, effects=()):

@@ -38,6 +38,7 @@ from support.arms import (
     as_recorded,
     icub_table,
     link,
+    noisy,
     smooth_motion,
 )
 
@@ -655,8 +656,7 @@ def test_a_balancer_is_no_wrong_sign(joint, stiffness, seed):
     """A spring across a joint changes its effort with the angle as gravity does, and may turn that over."""
     body = RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, 'effort')
     samples = smooth_motion(4, 1500, seed=seed, speed=0.5)
-    outputs = body.regressors(samples) @ body.base_parameters
-    outputs += 0.01 * outputs.std(axis=0) * np.random.default_rng(seed).standard_normal(outputs.shape)
+    outputs = noisy(body.regressors(samples) @ body.base_parameters, seed=seed)
     angle = samples.position[:, joint]
     outputs[:, joint] += stiffness * (angle - angle.mean())
     assert setup_problems(body, replace(samples, outputs=outputs)) == []

@@ -19,7 +19,7 @@ from semiparam_ros.diagnosis.text_report import summary, text_report
 from semiparam_ros.effects import kinds
 from semiparam_ros.effects.base import Span
 from semiparam_ros.online import diagnosis_jobs
-from support.arms import ODD_ARM, ODD_JOINTS, smooth_motion
+from support.arms import ODD_ARM, ODD_JOINTS, noisy, smooth_motion
 
 BODY = RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, 'effort')
 COUNT = 900
@@ -30,8 +30,7 @@ ONLY = ('payload', 'external_force', 'effort_offset')
 def carrying(*spans, seed=3):
     """An odd arm in motion that carries a load in each of these spans [s]; its efforts with 1 % of noise."""
     motion = smooth_motion(4, COUNT, seed=seed, speed=0.5)
-    outputs = BODY.regressors(motion) @ BODY.base_parameters
-    outputs += 0.01 * outputs.std(axis=0) * np.random.default_rng(seed).standard_normal(outputs.shape)
+    outputs = noisy(BODY.regressors(motion) @ BODY.base_parameters, seed=seed)
     for start_s, end_s in spans:
         load = kinds()['payload']('tool', span=Span(start_s, end_s=end_s))
         outputs += load.columns(BODY, motion, None)[0] @ LOAD

@@ -79,6 +79,12 @@ def smooth_motion(n_joints: int, count: int, rate: float = 20.0, seed: int = 0, 
                    (size * frequency * cosine).sum(2), -(size * frequency**2 * sine).sum(2), np.zeros((count, 1)), 0)
 
 
+def noisy(outputs: Array, share: float = 0.01, seed: int = 0) -> Array:
+    """Outputs (N, n) with white noise, a share of the deviation of each."""
+    white = np.random.default_rng(seed).standard_normal(outputs.shape)
+    return np.asarray(outputs + share * outputs.std(axis=0) * white)
+
+
 def as_recorded(body: RigidBody, motion: Samples, seed: int = 0, noise: float = 0.01) -> Samples:
     """The motion as encoders and tachometers show it, without accelerations, and the outputs of an arm a little heavier
     than its description, with a share of noise."""

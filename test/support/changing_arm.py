@@ -15,6 +15,7 @@ from semiparam_ros.settings import Settings
 from semiparam_ros.simulation.arm import Arm
 from semiparam_ros.simulation.scenario import EffectRequest, Scenario
 from semiparam_ros.simulation.simulate import simulate, true_arm
+from support.arms import noisy
 from support.learner_stage import Stage
 from support.node_helpers import InlineBackground
 
@@ -143,15 +144,8 @@ def elbow_rests(until=70.0, seed=4):
     rests = samples.time < until
     position[rests, -1] = position[~rests, -1][0]
     velocity[rests, -1] = acceleration[rests, -1] = 0.0
-    outputs = arm.evaluate(position, velocity, acceleration)
-    noise = 0.01 * outputs.std(axis=0) * np.random.default_rng(seed).standard_normal(outputs.shape)
-    return body, replace(
-        samples,
-        position=position,
-        velocity=velocity,
-        acceleration=acceleration,
-        outputs=outputs + noise,
-    )
+    outputs = noisy(arm.evaluate(position, velocity, acceleration), seed=seed)
+    return body, replace(samples, position=position, velocity=velocity, acceleration=acceleration, outputs=outputs)
 
 
 def offered(body, samples, **settings):
