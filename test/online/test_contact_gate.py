@@ -31,6 +31,11 @@ class Stand:
         """Whether each of (N, 3) innovations is refused."""
         return np.array([self._one(row, speed, std, beyond, ready=ready) for row in innovations])
 
+    def used(self, seconds=60):
+        """The same after free motion."""
+        self.judge(white(RATE_HZ * seconds))
+        return self
+
     def _one(self, innovation, speed, std, beyond, off=False, ready=True):
         """``speed``: of the fastest joint, or velocities of all three."""
         self.stamp += 10**9 // RATE_HZ
@@ -78,8 +83,7 @@ def test_pushes_are_found_however_wrong_the_predicted_deviation_is(noise, std):
 
 
 def test_it_says_in_which_outputs():
-    stand = Stand()
-    stand.judge(white(RATE_HZ * 20))
+    stand = Stand().used(20)
     assert stand.gate.touched() == []
     stand.judge(np.array([[0.0, 20.0, 2.0]]))
     assert stand.gate.touched() == [2, 1] and stand.gate.closed
@@ -106,8 +110,7 @@ def test_a_lasting_change_is_let_in_after_the_timeout_and_pushes_are_found_again
 
 @pytest.mark.parametrize('timeout', [0.3, 1.0])
 def test_after_a_short_timeout_what_was_usual_is_not_forgotten(timeout):
-    stand, load = Stand(replace(ON, gate_timeout=timeout)), np.array([200.0, 20.0, 0.0])
-    stand.judge(white(RATE_HZ * 60))
+    stand, load = Stand(replace(ON, gate_timeout=timeout)).used(), np.array([200.0, 20.0, 0.0])
     refused = stand.judge(white(int(RATE_HZ * timeout) + 3, seed=1) + load)
     assert refused[:int(RATE_HZ * timeout)].all() and stand.gate.changes == 1
     assert stand.judge(white(5, seed=2) + 1000.0 * SCALES).all()
@@ -115,8 +118,7 @@ def test_after_a_short_timeout_what_was_usual_is_not_forgotten(timeout):
 
 def test_a_change_that_leaves_an_output_silent_makes_nothing_louder():
     """An emergency stop in motion: the motor that holds nothing shows noise alone until the gate has opened."""
-    stand, stopped = Stand(), np.array([300.0, 10.0, 0.0])
-    stand.judge(white(RATE_HZ * 60))
+    stand, stopped = Stand().used(), np.array([300.0, 10.0, 0.0])
     refused = stand.judge(0.01 * white(RATE_HZ * 6, seed=1) + stopped)
     assert refused[:RATE_HZ * 5].all() and stand.gate.changes == 1
     assert not stand.judge(white(RATE_HZ * 60, seed=2)).any()
@@ -124,8 +126,7 @@ def test_a_change_that_leaves_an_output_silent_makes_nothing_louder():
 
 def test_motors_that_are_off_touch_nothing():
     """Neither while they are off nor when they hold the arm again; also a gate that had closed meanwhile opens."""
-    stand, weight = Stand(), np.array([300.0, 10.0, 0.0])
-    stand.judge(white(RATE_HZ * 60))
+    stand, weight = Stand().used(), np.array([300.0, 10.0, 0.0])
     stand.judge(0.01 * white(RATE_HZ * 20), speed=0.0)
     assert stand.judge(0.01 * white(2) - weight, speed=0.0).all()
     assert not any(stand._one(row - weight, 0.0, 1.0, 0.0, off=True) for row in 0.01 * white(RATE_HZ * 20))
@@ -198,18 +199,15 @@ def test_what_no_force_at_a_link_brings_about_counts_half(sigmas, by_friction):
     """Forces at the only link are felt by the first two outputs in equal parts of their scales; the third has none."""
     maps = 100.0 * np.array([[[1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]]]) * SCALES[:, None]
     for shape, found in (((1.0, 1.0, 0.0), True), ((0.0, 0.0, 1.0), by_friction)):
-        stand = Stand(forces=lambda position: maps)
-        stand.judge(white(RATE_HZ * 60))
+        stand = Stand(forces=lambda position: maps).used()
         assert stand.judge(sigmas * SCALES * np.array([shape] * 3)).any() == found
-        stand = Stand()
-        stand.judge(white(RATE_HZ * 60))
+        stand = Stand().used()
         assert stand.judge(sigmas * SCALES * np.array([shape] * 3)).any(), 'either is large'
 
 
 def test_time_without_samples_is_none_that_a_contact_lasts():
     """A node that was ended in a contact, and started again a minute later, took it for a change."""
-    stand = Stand()
-    stand.judge(white(RATE_HZ * 30))
+    stand = Stand().used(30)
     assert stand.judge(white(RATE_HZ, 1) + 60.0 * SCALES)[-1]
     stand.stamp += 60 * 10**9
     assert stand.judge(white(2 * RATE_HZ, 2) + 60.0 * SCALES).all()
@@ -218,8 +216,7 @@ def test_time_without_samples_is_none_that_a_contact_lasts():
 
 
 def test_without_a_timeout_it_stays_closed():
-    stand = Stand(replace(ON, gate_timeout=0.0))
-    stand.judge(white(RATE_HZ * 60))
+    stand = Stand(replace(ON, gate_timeout=0.0)).used()
     assert stand.judge(white(RATE_HZ * 60) + 100.0 * SCALES).all()
 
 
@@ -256,8 +253,7 @@ def test_fast_motion_that_slows_down_is_no_slow_motion(sigmas, refused):
 
 
 def test_motion_that_was_never_seen_is_learnt_first_and_hard_pushes_are_found():
-    stand = Stand()
-    stand.judge(white(RATE_HZ * 60))
+    stand = Stand().used()
     assert not stand.judge(5.0 * white(RATE_HZ * 3, seed=1), beyond=0.3).any()
     assert stand.judge(60.0 * SCALES * np.ones((5, 1)), beyond=0.3).all()
     stand.gate.reset()
@@ -268,8 +264,7 @@ def test_motion_that_was_never_seen_is_learnt_first_and_hard_pushes_are_found():
 @pytest.mark.parametrize(('seconds', 'refused'), [(1, False), (4, True)])
 def test_at_the_edge_of_what_was_learnt_thresholds_are_higher_for_a_while(seconds, refused):
     """A joint that creeps to where it never was is never far outside, as what is learnt widens the range."""
-    stand = Stand()
-    stand.judge(white(RATE_HZ * 60))
+    stand = Stand().used()
     stand.judge(white(1), beyond=0.05)
     stand.judge(white(RATE_HZ * seconds, seed=1))
     assert stand.judge(8.0 * SCALES * np.ones((3, 1))).any() == refused
@@ -277,8 +272,7 @@ def test_at_the_edge_of_what_was_learnt_thresholds_are_higher_for_a_while(second
 
 @pytest.mark.parametrize('ready', [False, True])
 def test_a_provisional_model_is_judged_with_higher_thresholds(ready):
-    stand = Stand()
-    stand.judge(white(RATE_HZ * 60))
+    stand = Stand().used()
     assert stand.judge(8.0 * SCALES * np.ones((3, 1)), ready=ready).any() == ready
 
 
@@ -293,8 +287,7 @@ def test_what_comes_again_and_again_is_the_robots_own():
 
 
 def test_closures_from_before_the_clock_was_set_back_are_not_those_of_the_last_seconds():
-    stand, jerk = Stand(), white(6, seed=5) + np.array([0.0, 15.0, 0.0])
-    stand.judge(white(RATE_HZ * 60))
+    stand, jerk = Stand().used(), white(6, seed=5) + np.array([0.0, 15.0, 0.0])
     for _ in range(2):
         assert stand.judge(jerk).any()
         stand.judge(white(RATE_HZ * 2, seed=1))
@@ -353,8 +346,7 @@ def test_no_state_of_another_kind_is_taken(spoil):
 
 
 def test_reset_opens_it_and_keeps_what_is_usual_and_forget_does_not():
-    stand = Stand()
-    stand.judge(white(RATE_HZ * 60))
+    stand = Stand().used()
     push = white(5, seed=1) + 30.0 * SCALES
     assert stand.judge(push).all()
     stand.gate.reset()
