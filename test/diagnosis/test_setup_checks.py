@@ -26,6 +26,7 @@ from semiparam_ros.diagnosis.setup.identifiability import unidentifiable
 from semiparam_ros.diagnosis.setup.prior_misfit import equations, evidence, independent
 from semiparam_ros.effects import effect_from_text
 from semiparam_ros.errors import SemiparamError
+from semiparam_ros.experiments.scoreboard import body_of, samples_of
 from semiparam_ros.simulation.scenario import EffectRequest, Scenario
 from semiparam_ros.simulation.simulate import simulate
 from support import arms
@@ -54,9 +55,7 @@ def simulated(outputs='wrench', kind=None, motion='fourier', seed=0, samples=100
     made = simulate(Scenario(motion=motion, samples=samples, rate_hz=rate_hz, outputs=outputs, effects=effects,
                              seed=seed, urdf=urdf))
     described = made.urdf if masses else re.sub('<inertial>.*?</inertial>', '', made.urdf, flags=re.DOTALL)
-    body = RigidBody.from_urdf(described, made.joint_names, outputs, made.frame_id or None, made.convention)
-    return body, Samples(made.stamps, made.position, made.velocity, made.acceleration, made.outputs,
-                         int(made.stamps[0]))
+    return body_of(replace(made, urdf=described)), samples_of(made)
 
 
 @cache

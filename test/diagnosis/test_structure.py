@@ -8,7 +8,6 @@ import pytest
 from scipy.signal import lfilter
 
 from semiparam_ros.core.robot.rigid_body import RigidBody
-from semiparam_ros.core.samples import Samples
 from semiparam_ros.diagnosis.config import DEFAULTS
 from semiparam_ros.diagnosis.data.splits import block_sums
 from semiparam_ros.diagnosis.diagnose import function_explains_more
@@ -22,6 +21,7 @@ from semiparam_ros.diagnosis.search.stepwise import starting_fit
 from semiparam_ros.effects import effect_from_text, effect_to_text
 from semiparam_ros.effects.base import Span
 from semiparam_ros.effects.terms import parse_term
+from semiparam_ros.experiments.scoreboard import body_of, samples_of
 from semiparam_ros.simulation.scenario import EffectRequest, Scenario
 from semiparam_ros.simulation.simulate import simulate
 from support.arms import ICUB_OWN, icub, icub_table, smooth_motion
@@ -34,10 +34,8 @@ def fitted(kind=None, motion='mixed', outputs='wrench', size=1.0, seed=0, sample
     """The declared model fitted to a simulated recording with one hidden effect."""
     effects = (EffectRequest(kind, size=size),) if kind else ()
     made = simulate(Scenario(motion=motion, samples=samples, outputs=outputs, effects=effects, seed=seed))
-    body = RigidBody.from_urdf(made.urdf, made.joint_names, outputs, made.frame_id or None, made.convention)
-    recording = Samples(made.stamps, made.position, made.velocity, made.acceleration, made.outputs,
-                        int(made.stamps[0]))
-    return body, starting_fit(body, recording, [], np.ones(samples, dtype=bool)), made.truth
+    body = body_of(made)
+    return body, starting_fit(body, samples_of(made), [], np.ones(samples, dtype=bool)), made.truth
 
 
 def structure_of(*case, **more):
