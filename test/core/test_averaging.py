@@ -11,15 +11,14 @@ from semiparam_ros.core.ensemble import ELSEWHERE, EVIDENCE_MEMORY, LEAST_LOG_WE
 from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.mixture import DEGREES
 from semiparam_ros.core.model import ModelOptions
-from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Sample
 from semiparam_ros.core.variants import AVERAGED
 from semiparam_ros.effects import effect_from_text, effect_to_text
 from semiparam_ros.errors import SemiparamError
-from support.arms import ODD_ARM, ODD_JOINTS, smooth_motion
+from support.arms import ODD_BODY, ODD_JOINTS, smooth_motion
 
 WINDOW, COUNT = 60, 260
-ARM = RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, 'effort')
+ARM = ODD_BODY
 
 
 def recording(unmodelled):

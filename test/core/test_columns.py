@@ -8,7 +8,7 @@ import pytest
 from semiparam_ros.core.columns import ColumnBlock, CoupledColumns
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.effects.geometry import BaseShift
-from support.arms import ODD_ARM, ODD_JOINTS, icub, smooth_motion
+from support.arms import ODD_BODY, icub, smooth_motion
 
 
 class Nothing(ColumnBlock):
@@ -126,10 +126,9 @@ def test_the_prior_is_wide_for_an_offset_and_centred_on_the_description(body):
 
 
 def test_efforts_have_no_offset_of_their_own():
-    arm = RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, 'effort')
-    columns = CoupledColumns(arm)
-    assert columns.n_columns == arm.n_parameters
-    assert columns.blocks['offset'] == slice(arm.n_parameters, arm.n_parameters)
+    columns = CoupledColumns(ODD_BODY)
+    assert columns.n_columns == ODD_BODY.n_parameters
+    assert columns.blocks['offset'] == slice(ODD_BODY.n_parameters, ODD_BODY.n_parameters)
 
 
 def test_time_starts_at_the_origin_that_one_is_told(body):

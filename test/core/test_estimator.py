@@ -14,14 +14,13 @@ from semiparam_ros.core.hyperparameters.estimation import Hyperparameters, estim
 from semiparam_ros.core.initial_window import gathered_from
 from semiparam_ros.core.model import ModelOptions, information_gain
 from semiparam_ros.core.motion import STEP_NS, STILL_STEPS, at_start
-from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.robot.size import radians
 from semiparam_ros.core.samples import Sample, Samples
 from semiparam_ros.core.variants import CHOICES
 from semiparam_ros.effects import effect_from_text
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online.identified_parameters import quantities
-from support.arms import ODD_ARM, ODD_JOINTS, icub, smooth_motion
+from support.arms import ODD_BODY, icub, smooth_motion
 
 WINDOW, COUNT = 120, 400
 
@@ -65,16 +64,15 @@ def relative_error(predictions, samples):
 
 def test_a_lift_of_a_centimetre_is_scaled_by_the_length_of_what_it_carries():
     """Features of metres beside radians did not see it."""
-    body = RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, 'effort')
-    lift = body.joints.index('lift')
-    motion = smooth_motion(body.n_joints, WINDOW, seed=1)
+    lift = ODD_BODY.joints.index('lift')
+    motion = smooth_motion(ODD_BODY.n_joints, WINDOW, seed=1)
     for values in (motion.position, motion.velocity, motion.acceleration):
         values[:, lift] *= 0.01
-    model = estimator(body, 'NP-ML')
-    run(model, replace(motion, outputs=body.regressors(motion) @ body.base_parameters))
-    scales = model.input_scaling[1][:body.n_joints]
-    assert scales[lift] == pytest.approx(0.2 * radians(body)[lift] * np.delete(scales, lift).max())
-    assert radians(body)[lift] != 1.0
+    model = estimator(ODD_BODY, 'NP-ML')
+    run(model, replace(motion, outputs=ODD_BODY.regressors(motion) @ ODD_BODY.base_parameters))
+    scales = model.input_scaling[1][:ODD_BODY.n_joints]
+    assert scales[lift] == pytest.approx(0.2 * radians(ODD_BODY)[lift] * np.delete(scales, lift).max())
+    assert radians(ODD_BODY)[lift] != 1.0
 
 
 @pytest.fixture(scope='module', params=sorted(CHOICES))
@@ -449,7 +447,7 @@ def test_a_twin_finishes_the_window_while_the_rigid_body_goes_on(arm, recording)
 @pytest.mark.parametrize('outputs', ['wrench', 'effort'])
 def test_a_robot_that_rested_over_the_initial_window_is_predicted_within_reason_when_it_moves(arm, outputs):
     """At rest most columns hold rounding errors alone: the noise was fitted with them, by coefficients of 1e14."""
-    body = arm if outputs == 'wrench' else RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, 'effort')
+    body = arm if outputs == 'wrench' else ODD_BODY
     rng = np.random.default_rng(2)
     place, rest = rng.uniform(-1.0, 1.0, body.n_joints), np.zeros(body.n_joints)
     still = [Sample(i * 50_000_000, place, rest, rest, 3 + 0.1 * rng.standard_normal(body.n_outputs))
@@ -549,10 +547,9 @@ def test_a_variant_with_features_beats_p_where_something_is_unmodelled(arm):
 
 
 def test_efforts_are_learnt_as_well():
-    body = RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, 'effort')
-    samples = measured(body)
+    samples = measured(ODD_BODY)
     for variant in CHOICES:
-        predictions = run(estimator(body, variant), samples)
+        predictions = run(estimator(ODD_BODY, variant), samples)
         assert relative_error(predictions[-100:], samples) < 0.4, variant
 
 

@@ -20,9 +20,9 @@ from semiparam_ros.core.robot.joint_friction import (
 )
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.robot.size import base_scale, inertial_scale, size_beyond
-from support.arms import ODD_ARM, ODD_JOINTS, icub, smooth_motion
+from support.arms import ODD_ARM, ODD_BODY, ODD_JOINTS, icub, smooth_motion
 
-ARM = RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, 'effort')
+ARM = ODD_BODY
 TWO_OF_FOUR = RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, 'effort', output_joints=('turn', 'grip'))
 VISCOUS, DRY, OFFSET = np.array([3.0, 1.0, 0.5, 0.1]), np.array([5.0, 2.0, 1.0, 0.2]), np.array([1.0, -0.5, 0.3, 0.1])
 

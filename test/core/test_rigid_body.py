@@ -29,6 +29,7 @@ from support.arms import (
     ICUB_OWN,
     ICUB_SENSOR,
     ODD_ARM,
+    ODD_BODY,
     ODD_JOINTS,
     icub,
     idyntree_wrench_and_efforts,
@@ -446,12 +447,11 @@ def test_a_description_of_more_than_a_robot_is_refused_at_once(joint, count, sen
 
 
 def test_units_along_a_joint_that_slides():
-    body = RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, 'effort')
-    assert body.prismatic == {'lift'} and body.output_units == ('N', 'N m', 'N m', 'N m')
+    assert ODD_BODY.prismatic == {'lift'} and ODD_BODY.output_units == ('N', 'N m', 'N m', 'N m')
     turning = ('rad', 'rad/s', 'N m', 'N m s/rad', 'N m s/(rad K)', 'kg m^2', '1/(N m)', '1/(N^2 m^2)', 's')
-    assert [body.joint_unit('lift', unit) for unit in turning] == [
+    assert [ODD_BODY.joint_unit('lift', unit) for unit in turning] == [
         'm', 'm/s', 'N', 'N s/m', 'N s/(m K)', 'kg', '1/N', '1/N^2', 's']
-    assert tuple(body.joint_unit('turn', unit) for unit in turning) == turning
+    assert tuple(ODD_BODY.joint_unit('turn', unit) for unit in turning) == turning
     assert icub().output_units == ('N',) * 3 + ('N m',) * 3
 
 
@@ -497,8 +497,7 @@ def test_a_robot_of_one_joint_is_an_arm_of_which_the_others_rest(options):
 def test_what_the_description_says_of_friction_refuses_no_robot():
     rubbing = ODD_ARM.replace('<axis', '<dynamics damping="nan" friction="-1"/><axis')
     body = RigidBody.from_urdf(rubbing, ODD_JOINTS, 'effort')
-    plain = RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, 'effort')
-    np.testing.assert_array_equal(body.base_parameters, plain.base_parameters)
+    np.testing.assert_array_equal(body.base_parameters, ODD_BODY.base_parameters)
 
 
 @pytest.mark.parametrize(('before', 'after'), [

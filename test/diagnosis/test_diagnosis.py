@@ -46,8 +46,7 @@ from support.arms import (
     ICUB_JOINTS,
     ICUB_OWN,
     ICUB_SENSOR,
-    ODD_ARM,
-    ODD_JOINTS,
+    ODD_BODY,
     TWO_ARMS,
     TWO_ARMS_JOINTS,
     as_recorded,
@@ -340,7 +339,7 @@ def test_a_rival_that_explains_it_better_is_told_apart_from_a_toss_up(friction):
 
 def test_dry_friction_that_turns_over_slowly_may_stand_in_for_a_viscous_one():
     """A turn_speed of 0.22 rad/s stood in for viscous friction, and nothing was said."""
-    body, motion = RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, 'effort'), smooth_motion(4, 300, seed=0, speed=0.5)
+    body, motion = ODD_BODY, smooth_motion(4, 300, seed=0, speed=0.5)
     said = {speed: kinds('effort')['coulomb_friction']('elbow', {'turn_speed': speed}).doubt(body, motion)
             for speed in (0.22, 0.002)}
     assert 'may stand in for one' in said[0.22] and said[0.002] == ''
@@ -361,21 +360,20 @@ def test_the_written_effects_say_what_was_found_of_them(tmp_path, payload):
 
 
 def test_effects_of_one_diagnosis_share_one_reference_model():
-    body = RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, 'effort')
     motion = smooth_motion(4, 40)
-    exact = body.regressors(motion) @ body.base_parameters
+    exact = ODD_BODY.regressors(motion) @ ODD_BODY.base_parameters
     samples = replace(motion, outputs=exact + (1.0 + np.abs(exact)) * np.tanh(motion.velocity / 0.1))
-    use, first = np.ones(len(samples), dtype=bool), body.joints[0]
-    fit = fit_model(body, samples, [], use, np.ones(body.n_outputs))
+    use, first = np.ones(len(samples), dtype=bool), ODD_BODY.joints[0]
+    fit = fit_model(ODD_BODY, samples, [], use, np.ones(ODD_BODY.n_outputs))
 
     def tried(fit, kind, joint):
         return coarse_trial(fit, kinds()[kind], joint).effect
 
     rubbing = tried(fit, 'load_friction', first)
     assert rubbing.reference == tuple(fit.rigid_part)
-    other = fit_model(body, samples, [rubbing], use, np.ones(body.n_outputs))
+    other = fit_model(ODD_BODY, samples, [rubbing], use, np.ones(ODD_BODY.n_outputs))
     assert np.abs(other.rigid_part - fit.rigid_part).max() > 1e-3
-    assert tried(other, 'load_friction', body.joints[1]).reference == rubbing.reference
+    assert tried(other, 'load_friction', ODD_BODY.joints[1]).reference == rubbing.reference
     assert tried(fit, 'coulomb_friction', first).reference == ()
 
 

@@ -17,9 +17,9 @@ from semiparam_ros.diagnosis.search.stepwise import starting_fit
 from semiparam_ros.effects import kinds
 from semiparam_ros.effects.friction import CoulombFriction, ViscousFriction
 from semiparam_ros.effects.geometry import TimeDelay
-from support.arms import ODD_ARM, ODD_JOINTS, as_recorded, joint, link, noisy, smooth_motion
+from support.arms import ODD_BODY, ODD_JOINTS, as_recorded, joint, link, noisy, smooth_motion
 
-BODY = RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, 'effort')
+BODY = ODD_BODY
 COUNT, TURN = 1500, 0.02
 EVERYTHING = np.ones(COUNT, dtype=bool)
 FRICTION = [('coulomb_friction', joint, None) for joint in ODD_JOINTS]

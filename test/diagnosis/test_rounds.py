@@ -35,11 +35,11 @@ from semiparam_ros.settings import load_params
 from semiparam_ros.settings.build import build_rigid_body
 from semiparam_ros.simulation.scenario import EffectRequest, Scenario
 from semiparam_ros.simulation.simulate import simulate
-from support.arms import ODD_ARM, ODD_JOINTS, noisy, smooth_motion
+from support.arms import ODD_ARM, ODD_BODY, ODD_JOINTS, noisy, smooth_motion
 from support.plain_calibration import further_calibrated_error
 from support.plain_model import nmse, plain_model
 
-BODY = RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, 'effort')
+BODY = ODD_BODY
 COUNT = 1500
 RUBBING = ('viscous_friction', 'coulomb_friction', 'stribeck_friction', 'asymmetric_friction', 'load_friction')
 

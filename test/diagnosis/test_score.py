@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 from scipy.stats import multivariate_normal
 
 from semiparam_ros.core.columns import CoupledColumns
-from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.diagnosis.config import DEFAULTS
 from semiparam_ros.diagnosis.regression import fit_model, refit_weights, with_effects
 from semiparam_ros.diagnosis.search import moves
@@ -32,9 +31,9 @@ from semiparam_ros.diagnosis.search.scoring import Trial, worth_refining
 from semiparam_ros.diagnosis.search.stepwise import starting_fit
 from semiparam_ros.effects import kinds
 from semiparam_ros.effects.base import Span
-from support.arms import ODD_ARM, ODD_JOINTS, noisy, smooth_motion
+from support.arms import ODD_BODY, ODD_JOINTS, noisy, smooth_motion
 
-BODY = RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, 'effort')
+BODY = ODD_BODY
 COUNT = 1200
 KINDS = kinds('effort')
 

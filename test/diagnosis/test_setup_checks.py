@@ -34,7 +34,7 @@ from support.arms import (
     ICUB_JOINTS,
     ICUB_OWN,
     ICUB_SENSOR,
-    ODD_ARM,
+    ODD_BODY,
     ODD_JOINTS,
     as_recorded,
     icub_table,
@@ -187,18 +187,17 @@ def test_axes_are_named_the_way_back(axes):
     ((1e3, 1.0, 1.0, 1.0), ['of the joints that slide are in millimetres: publish them in m and m/s.'])])
 def test_no_joint_slides_in_degrees(factors, said):
     """Sliding joints in millimetres were told to be in degrees, twice, and rad to be right for them."""
-    body = RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, 'effort')
     motion = smooth_motion(4, 250)
-    samples = scaled(replace(motion, outputs=body.outputs_of(motion, body.base_parameters)), np.array(factors), *ROLES)
-    assert [problem.sentence for problem in layout_problems(body, samples, DEFAULTS)] == [
+    recorded = replace(motion, outputs=ODD_BODY.outputs_of(motion, ODD_BODY.base_parameters))
+    samples = scaled(recorded, np.array(factors), *ROLES)
+    assert [problem.sentence for problem in layout_problems(ODD_BODY, samples, DEFAULTS)] == [
         f'Positions and velocities {each}' for each in said]
 
 
 def test_a_joint_that_slides_the_wrong_way_does_not_turn():
-    body = RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, 'effort')
-    motion, slides = smooth_motion(4, 250), ODD_JOINTS.index(*body.prismatic)
-    samples = replace(motion, outputs=body.outputs_of(motion, body.base_parameters))
-    (problem,) = layout_problems(body, scaled(samples, -1.0, *ROLES, 'outputs', joint=slides), DEFAULTS)
+    motion, slides = smooth_motion(4, 250), ODD_JOINTS.index(*ODD_BODY.prismatic)
+    samples = replace(motion, outputs=ODD_BODY.outputs_of(motion, ODD_BODY.base_parameters))
+    (problem,) = layout_problems(ODD_BODY, scaled(samples, -1.0, *ROLES, 'outputs', joint=slides), DEFAULTS)
     assert f"when '{ODD_JOINTS[slides]}' slides the other way" in problem.sentence
 
 
@@ -604,10 +603,9 @@ def test_a_joint_that_hardly_moves_is_named():
 
 
 def test_a_joint_that_hardly_slides_is_named_in_metres():
-    body = RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, 'effort')
     samples = smooth_motion(4, 400)
     held = replace(samples, position=samples.position * np.array([0.01, 1.0, 1.0, 1.0]), outputs=samples.velocity)
-    assert any(note.startswith('lift (0.0') and ' m) hardly moved' in note for note in unidentifiable(body, held))
+    assert any(note.startswith('lift (0.0') and ' m) hardly moved' in note for note in unidentifiable(ODD_BODY, held))
 
 
 GANTRY = '<robot name="gantry">' + ''.join([
@@ -631,9 +629,8 @@ def test_what_slides_is_in_no_degrees(factors, found):
 
 def test_efforts_of_joints_that_slide_are_told_to_be_forces():
     """They were to be published in N m, all of them."""
-    body = RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, 'effort')
-    made = as_recorded(body, smooth_motion(4, 800))
-    sentences = [problem.sentence for problem in setup_problems(body, replace(made, outputs=1e3 * made.outputs))]
+    made = as_recorded(ODD_BODY, smooth_motion(4, 800))
+    sentences = [problem.sentence for problem in setup_problems(ODD_BODY, replace(made, outputs=1e3 * made.outputs))]
     assert sentences[0].endswith(': publish it in N or N m.')
 
 
@@ -653,9 +650,8 @@ def test_rich_motion_leaves_nothing_to_say(shared_data):
 @pytest.mark.parametrize(('joint', 'stiffness', 'seed'), [(1, -40.0, 0), (2, -10.0, 1), (1, 40.0, 0)])
 def test_a_balancer_is_no_wrong_sign(joint, stiffness, seed):
     """A spring across a joint changes its effort with the angle as gravity does, and may turn that over."""
-    body = RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, 'effort')
     samples = smooth_motion(4, 1500, seed=seed, speed=0.5)
-    outputs = noisy(body.regressors(samples) @ body.base_parameters, seed=seed)
+    outputs = noisy(ODD_BODY.regressors(samples) @ ODD_BODY.base_parameters, seed=seed)
     angle = samples.position[:, joint]
     outputs[:, joint] += stiffness * (angle - angle.mean())
-    assert setup_problems(body, replace(samples, outputs=outputs)) == []
+    assert setup_problems(ODD_BODY, replace(samples, outputs=outputs)) == []

@@ -7,7 +7,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.diagnosis.config import DEFAULTS
 from semiparam_ros.diagnosis.diagnose import diagnose
 from semiparam_ros.diagnosis.search.moves import Move, ending_moves, simplest
@@ -19,9 +18,9 @@ from semiparam_ros.diagnosis.text_report import summary, text_report
 from semiparam_ros.effects import kinds
 from semiparam_ros.effects.base import Span
 from semiparam_ros.online import diagnosis_jobs
-from support.arms import ODD_ARM, ODD_JOINTS, noisy, smooth_motion
+from support.arms import ODD_BODY, noisy, smooth_motion
 
-BODY = RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, 'effort')
+BODY = ODD_BODY
 COUNT = 900
 LOAD = np.array([0.4, 0.01, 0.0, 0.02, *[0.0] * 6])
 ONLY = ('payload', 'external_force', 'effort_offset')

@@ -13,9 +13,9 @@ from semiparam_ros.diagnosis.search.refit import fitted_to_all
 from semiparam_ros.diagnosis.text_report import quantity_text
 from semiparam_ros.diagnosis.uncertainty import estimates
 from semiparam_ros.effects import kinds
-from support.arms import ODD_ARM, ODD_JOINTS, smooth_motion
+from support.arms import ODD_ARM, ODD_BODY, ODD_JOINTS, smooth_motion
 
-BODY = RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, 'effort')
+BODY = ODD_BODY
 MOTION = smooth_motion(4, 1500, seed=2, speed=0.5)
 EXACT = BODY.regressors(MOTION) @ BODY.base_parameters
 VISCOUS, GAIN, DRAWS = 0.3, 0.1, 20

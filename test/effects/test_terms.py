@@ -8,12 +8,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from semiparam_ros.core.columns import CoupledColumns
-from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.effects import effect_from_text, effect_to_text, kinds
 from semiparam_ros.effects.base import Span
 from semiparam_ros.effects.terms import Terms, parse_term, term_unit, term_values
 from semiparam_ros.errors import SemiparamError
-from support.arms import ODD_ARM, ODD_JOINTS, icub, smooth_motion
+from support.arms import ODD_BODY, icub, smooth_motion
 
 MOTION = smooth_motion(4, 50)
 ELBOW = MOTION.position[:, 3], MOTION.velocity[:, 3]
@@ -66,8 +65,7 @@ def test_units_divide_the_channel_by_the_term():
     units = {'q_r_elbow': 'N/rad', 'dq_r_elbow^2': 'N s^2/rad^2', 'sin(q_r_elbow)': 'N', 'time*dq_r_elbow': 'N/rad',
              'time': 'N/s', 'time*ddq_r_elbow': 'N s/rad', 'time*q_r_elbow': 'N/(s rad)'}
     assert {term: term_unit(term, body, 0) for term in units} == units
-    odd = RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, 'effort')
-    assert term_unit('dq_lift*abs(dq_lift)', odd, 1) == 'N m s^2/m^2'
+    assert term_unit('dq_lift*abs(dq_lift)', ODD_BODY, 1) == 'N m s^2/m^2'
 
 
 def test_a_declared_formula_is_learnt():

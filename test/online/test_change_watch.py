@@ -8,7 +8,6 @@ import pytest
 
 from semiparam_ros.core.columns import CoupledColumns
 from semiparam_ros.core.robot.frames import last_link
-from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.diagnosis.change import name_change
 from semiparam_ros.effects.base import Span
 from semiparam_ros.effects.loads import Payload
@@ -30,7 +29,7 @@ from semiparam_ros.online.changes import Change, ChangeDetector
 from semiparam_ros.online.diagnosis_jobs import name_change as name_in_background
 from semiparam_ros.online.identified_parameters import Load
 from semiparam_ros.online.learning import Learning, directions_of, learning_after, learning_of
-from support.arms import ODD_ARM, ODD_JOINTS
+from support.arms import ODD_BODY
 from support.changing_arm import (
     LOADED_S,
     SETTINGS,
@@ -171,7 +170,7 @@ def test_what_the_gate_gave_way_to_is_followed_once_and_its_end_is_none_of_an_ea
 @pytest.mark.parametrize('outputs', ['wrench', 'effort'])
 def test_what_was_told_alone_is_in_doubt(kind, outputs):
     """Every cause that moves columns of the model; after any other all of it is."""
-    body = free()[0] if outputs == 'wrench' else RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, 'effort')
+    body = free()[0] if outputs == 'wrench' else ODD_BODY
     columns = CoupledColumns(body, joint_friction=outputs == 'effort')
     causes, directions = causes_of(columns)
     parts = [directions[:columns.n_own, cause.part] for cause in causes if cause.kind == kind]

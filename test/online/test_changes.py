@@ -11,7 +11,6 @@ from scipy.stats import multivariate_normal
 from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.hyperparameters.estimation import Hyperparameters
 from semiparam_ros.core.model import ModelOptions
-from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.robot.size import push_force, size_beyond
 from semiparam_ros.diagnosis.change import gain_since, name_change
 from semiparam_ros.effects import effect_from_text
@@ -20,7 +19,7 @@ from semiparam_ros.online.changes import JUDGED_ANEW, LENGTHS, USUAL, ChangeDete
 from semiparam_ros.online.diagnosis_jobs import diagnose
 from semiparam_ros.online.history import batch_of
 from semiparam_ros.online.wandering_contact import WANDERS, contact_scale, wandering
-from support.arms import ODD_ARM, ODD_JOINTS, smooth_motion
+from support.arms import ODD_BODY, ODD_JOINTS, smooth_motion
 from support.changing_arm import (
     CALM,
     LOADED_S,
@@ -290,10 +289,9 @@ def test_the_evidence_of_a_contact_is_that_of_a_random_walk():
 
 def test_a_joint_that_slides_feels_the_force_of_a_contact_whatever_it_carries():
     """It was a force [N] times a length [m]: a push that a short lift felt was too large to be one."""
-    body = RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, 'effort')
-    lift, *others = contact_scale(body) / push_force(body)
+    lift, *others = contact_scale(ODD_BODY) / push_force(ODD_BODY)
     assert lift == 1.0
-    assert others == pytest.approx([size_beyond(body, joint).length for joint in ODD_JOINTS[1:]])
+    assert others == pytest.approx([size_beyond(ODD_BODY, joint).length for joint in ODD_JOINTS[1:]])
 
 
 def test_a_jump_of_the_sensor_is_told_from_a_load():

@@ -33,7 +33,7 @@ from semiparam_ros.report.diagnosis_page import (
 )
 from semiparam_ros.simulation.scenario import EffectRequest, Scenario
 from semiparam_ros.simulation.simulate import simulate
-from support.arms import ODD_ARM, ODD_JOINTS, icub, smooth_motion
+from support.arms import ODD_BODY, icub, smooth_motion
 from support.browser import check_that_it_stands_alone, is_dark
 
 SAMPLES = 700
@@ -258,7 +258,7 @@ def test_what_no_kind_explains_has_a_section_with_its_formulas(clean):
 
 MOTION = smooth_motion(4, 200)
 MOTION = replace(MOTION, temperature=30.0 + MOTION.time[:, None] * np.ones(4))
-BODIES = {'wrench': icub(), 'effort': RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, 'effort')}
+BODIES = {'wrench': icub(), 'effort': ODD_BODY}
 LABELS = {
     'payload': 'time', 'sensor_drift': 'time', 'thermal_drift': 'time', 'sensor_offset': 'time',
     'viscous_friction': 'velocity of', 'coulomb_friction': 'velocity of', 'stribeck_friction': 'velocity of',

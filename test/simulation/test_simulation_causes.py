@@ -7,11 +7,10 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from semiparam_ros import effects
-from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.simulation import EffectRequest, Scenario, simulate
 from semiparam_ros.simulation.causes import CAUSES, LISTED_KINDS, UNLISTED_KINDS, kinds
 from semiparam_ros.simulation.fine_states import bouc_wen, bristle, play
-from support.arms import ODD_ARM, ODD_JOINTS
+from support.arms import ODD_ARM, ODD_BODY, ODD_JOINTS
 
 WRENCH = ('payload', 'sensor_offset', 'sensor_drift', 'thermal_drift', 'sensor_gain', 'sensor_crosstalk',
           'sensor_misalignment', 'time_delay', 'joint_offset', 'gravity_tilt', 'external_force', 'viscous_drag',
@@ -276,11 +275,10 @@ def test_a_random_place_is_one_where_the_effect_shows():
 def test_values_of_a_joint_that_slides_have_its_units(kind):
     """They were told in those of a joint that turns: friction in N m."""
     scenario = Scenario(motion='mixed', samples=60, outputs='effort', urdf=ODD_ARM, joints=ODD_JOINTS)
-    body = RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, 'effort')
     for where, slides in (('lift', True), ('turn', False)):
         recording = simulate(replace(scenario, effects=(EffectRequest(kind, where),)))
         effect = effects.kinds()[kind](where)
-        known = dict(effect.coefficients(body)) | {'gap': effect.unit_of('gap', body)}
+        known = dict(effect.coefficients(ODD_BODY)) | {'gap': effect.unit_of('gap', ODD_BODY)}
         units = {name: entry['unit'] for name, entry in recording.truth[0]['parameters'].items()}
         assert {name: unit for name, unit in units.items() if name in known}.items() <= known.items()
         assert not slides or not any('rad' in unit or 'N m' in unit for name, unit in units.items() if name != 'phase')

@@ -46,6 +46,8 @@ ODD_ARM = '<robot name="odd">' + ''.join([
           extra='<mimic joint="grip" multiplier="-1"/>'),
     joint('tool_joint', 'fixed', 'forearm', 'tool', '0 0 0.3', '0 0 0.7'),
 ]) + '</robot>'
+ODD_JOINTS = ('lift', 'turn', 'elbow', 'grip')
+ODD_BODY = RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, 'effort')
 TWO_ARMS = '<robot name="two">' + ''.join([
     link('base'), link('torso', 4.0), joint('waist', 'revolute', 'base', 'torso'),
     *(link(f'{side}_upper', 2.0) + link(f'{side}_fore')
@@ -53,7 +55,6 @@ TWO_ARMS = '<robot name="two">' + ''.join([
       + joint(f'{side}_elbow', 'revolute', f'{side}_upper', f'{side}_fore', axis='0 1 0')
       for side, y in (('a', 0.2), ('b', -0.2)))]) + '</robot>'
 TWO_ARMS_JOINTS = ('waist', 'a_shoulder', 'a_elbow', 'b_shoulder', 'b_elbow')
-ODD_JOINTS = ('lift', 'turn', 'elbow', 'grip')
 
 
 def icub(**options: object) -> RigidBody:

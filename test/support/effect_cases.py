@@ -4,14 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.effects import Effect, kinds
-from support.arms import ODD_ARM, ODD_JOINTS, icub, smooth_motion
+from support.arms import ODD_BODY, icub, smooth_motion
 
 MOTION = smooth_motion(4, 40)
 MOTION = replace(MOTION, temperature=30.0 + np.where(MOTION.time < 0.3, np.nan, 2.0 * MOTION.time)[:, None]
                  * [1.0, 0.5, -1.0, 2.0])
-BODIES = {'wrench': icub(), 'effort': RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, 'effort')}
+BODIES = {'wrench': icub(), 'effort': ODD_BODY}
 FORMULA = {'wrench': {'time*abs(dq_r_elbow)': 1.2, 'bump(q_r_elbow,0.1,0.3)': 1.0}, 'effort': {'q_elbow^2': 0.3}}
 RESIDUALS = {name: np.random.default_rng(0).standard_normal((len(MOTION), body.n_outputs))
              for name, body in BODIES.items()}
