@@ -15,7 +15,7 @@ import hypothesis
 import pytest
 
 from semiparam_ros.core.signals.smoothing import _SmoothingProblem
-from support.browser import browse  # noqa: F401  (fixtures)
+from support.browser import browse, unavailable  # noqa: F401  (fixtures)
 from support.command_fixtures import params, recording  # noqa: F401  (fixtures)
 from support.commands import semiparam
 from support.estimates import Estimates, remembered
@@ -96,10 +96,7 @@ def shared_data() -> Path:
     """Folder of the measured recordings, which are not redistributed; where CI=true they must be there."""
     if SHARED_DATA.is_dir():
         return SHARED_DATA
-    sentence = f'the measured recordings are not beside the checkout: {SHARED_DATA} is missing'
-    if os.environ.get('CI', '').lower() == 'true':
-        pytest.fail(sentence)
-    pytest.skip(sentence)
+    unavailable(f'the measured recordings are not beside the checkout: {SHARED_DATA} is missing')
 
 
 @pytest.fixture

@@ -15,15 +15,19 @@ FLAGS = ['--headless', '--no-sandbox', '--disable-gpu', '--disable-quic', '--no-
          '--window-size=1000,1200', '--enable-logging=stderr']
 
 
+def unavailable(reason):
+    """What some tests need is missing; where CI=true it must be there."""
+    if os.environ.get('CI', '').lower() == 'true':
+        pytest.fail(reason)
+    pytest.skip(reason)
+
+
 @pytest.fixture
 def browse(tmp_path):
     """Opens a page and returns its document after loading, and what the console said."""
     found = next(filter(None, map(shutil.which, BROWSERS)), None)
     if found is None:
-        sentence = f'no browser to open the page with: none of {", ".join(BROWSERS)} is installed'
-        if os.environ.get('CI', '').lower() == 'true':
-            pytest.fail(sentence)
-        pytest.skip(sentence)
+        unavailable(f'no browser to open the page with: none of {", ".join(BROWSERS)} is installed')
 
     def run(text, *flags):
         path = tmp_path / 'page.html'

@@ -11,6 +11,8 @@ from typing import Any
 
 import pytest
 
+from support.browser import unavailable
+
 PACKAGES = {'@mcap/core': '2.2.2', '@mcap/support': '1.1.0', '@foxglove/rosmsg': '5.0.5',
             '@foxglove/rosmsg2-serialization': '3.1.0'}
 READER = """
@@ -44,7 +46,7 @@ for await (const message of reader.readMessages({ validateCrcs: true })) {
 def node_modules() -> Path:
     """A folder with the JavaScript packages, installed once for all checkouts of this user."""
     if shutil.which('npm') is None:
-        _unavailable('npm is not installed')
+        unavailable('npm is not installed')
     folder = Path(tempfile.gettempdir()) / f'semiparam_ros_test_npm_{os.getuid()}'
     folder.mkdir(exist_ok=True)
     with (folder / 'lock').open('w') as lock:
@@ -56,7 +58,7 @@ def node_modules() -> Path:
             install = subprocess.run(['npm', 'install', '--no-audit', '--no-fund', '--loglevel=error'], cwd=folder,
                                      capture_output=True, text=True, timeout=200)
             if install.returncode:
-                _unavailable(f'npm could not install {", ".join(PACKAGES)}: {install.stderr[-500:]}')
+                unavailable(f'npm could not install {", ".join(PACKAGES)}: {install.stderr[-500:]}')
             done.write_text(wanted)
     return folder
 
@@ -70,10 +72,3 @@ def read(node_modules: Path, bag: Path) -> list[dict[str, Any]]:
                           capture_output=True, text=True, timeout=60)
     assert done.returncode == 0, done.stderr
     return [json.loads(line) for line in done.stdout.splitlines()]
-
-
-def _unavailable(reason: str) -> None:
-    """Where CI=true the JavaScript reader must be there."""
-    if os.environ.get('CI', '').lower() == 'true':
-        pytest.fail(reason)
-    pytest.skip(reason)
