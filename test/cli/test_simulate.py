@@ -107,24 +107,18 @@ def test_a_parameter_file_names_the_robot(repository, tmp_path):
     assert list(state.name) == ['r_shoulder_roll', 'r_elbow']
 
 
-def test_a_joint_that_the_parameter_file_locks_does_not_move(repository, tmp_path):
-    """Where it names no joints: "joints names one joint twice"."""
-    settings = Settings(robot_description_file=str(repository / 'config' / 'icub_right_arm.urdf'), outputs='effort',
-                        locked_joints_names=('r_elbow',), locked_joints_positions=(1.4,))
+@pytest.mark.parametrize(('values', 'moving'), [
+    ({'outputs': 'effort', 'locked_joints_names': ('r_elbow',), 'locked_joints_positions': (1.4,)}, ICUB_JOINTS[:3]),
+    ({'outputs': 'wrench', 'sensor_frame': 'r_upper_arm'}, ICUB_JOINTS)], ids=['locked', 'frame'])
+def test_the_recording_is_read_with_the_parameter_file_that_it_was_simulated_with(values, moving, repository, tmp_path):
+    """Where that names no joints: "joints names one joint twice"; and the wrench had the name of the link's joint, and
+    every command refused the recording with the same parameters."""
+    settings = Settings(robot_description_file=str(repository / 'config' / 'icub_right_arm.urdf'), **values)
     dump_params(settings, tmp_path / 'p.yaml')
     bag = tmp_path / 'out.mcap'
     assert main(['simulate', str(bag), '--samples', '20', '--params', str(tmp_path / 'p.yaml')]) == 0
-    assert load_samples(bag, settings).joints == ICUB_JOINTS[:3]
-
-
-def test_the_wrench_is_in_the_frame_that_the_parameter_file_names(repository, tmp_path):
-    """It had the name of the link's joint, and every command refused the recording with the same parameters."""
-    settings = Settings(robot_description_file=str(repository / 'config' / 'icub_right_arm.urdf'), outputs='wrench',
-                        sensor_frame='r_upper_arm')
-    dump_params(settings, tmp_path / 'p.yaml')
-    bag = tmp_path / 'out.mcap'
-    assert main(['simulate', str(bag), '--samples', '20', '--params', str(tmp_path / 'p.yaml')]) == 0
-    assert len(load_samples(bag, settings).samples) == 20
+    found = load_samples(bag, settings)
+    assert (found.joints, len(found.samples)) == (moving, 20)
 
 
 @pytest.mark.parametrize('described', ['file', 'text'])
