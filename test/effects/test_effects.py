@@ -29,6 +29,7 @@ from semiparam_ros.effects.friction import MOST_PRESLIDING, JointEffect
 from semiparam_ros.effects.geometry import BaseShift, GravityTilt, JointOffset, ZeroSlip
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.experiments.scoreboard import body_of, samples_of
+from semiparam_ros.export.estimate import from_recording
 from semiparam_ros.simulation.causes.forces import PAYLOAD_RADIUS_M
 from semiparam_ros.simulation.scenario import EffectRequest, Scenario
 from semiparam_ros.simulation.simulate import simulate
@@ -949,3 +950,27 @@ def test_a_frequency_is_found_in_stretches_of_a_long_recording():
     low, high = kinds()['periodic_disturbance']('waist', {'frequency_hz': 5.0}).bounds(
         'frequency_hz', body, some, shaking)
     assert high - low == pytest.approx(1.0 / 9.95)
+
+
+def test_rotors_of_a_toy_are_found_that_resist_for_many_times_its_links():
+    """Reflected inertia of a servo's gear, of an arm of 0.2 kg with 3 N m."""
+    limit = '<limit lower="-3" upper="3" effort="3" velocity="6"/>'
+    body = '<inertial><origin xyz="0 0.01 0.05"/><mass value="0.1"/><inertia ixx="1e-4" iyy="1e-4" izz="3e-5" '\
+           'ixy="0" ixz="0" iyz="0"/></inertial>'
+    urdf = ('<robot name="toy"><link name="base"/>' + ''.join(
+        f'<link name="{child}">{body}</link><joint name="{name}" type="revolute"><parent link="{parent}"/>'
+        f'<child link="{child}"/><origin xyz="0 0 0.1"/><axis xyz="{axis}"/>{limit}</joint>'
+        for name, parent, child, axis in (('lift', 'base', 'upper', '0 1 0'), ('roll', 'upper', 'fore', '0 0 1')))
+        + '</robot>')
+    joints, rotor = ('lift', 'roll'), np.array([0.03, 0.02])
+    toy = RigidBody.from_urdf(urdf, joints, 'effort')
+    time = np.arange(800)[:, None] / 40
+    turning = 2 * np.pi * np.array([0.31, 0.23])
+    position = np.sin(turning * time) + 0.4 * np.cos(2.2 * turning * time)
+    velocity = np.gradient(position, time[:, 0], axis=0)
+    acceleration = np.gradient(velocity, time[:, 0], axis=0)
+    moved = Samples((time[:, 0] * 1e9).astype(np.int64), position, velocity, acceleration, np.zeros((800, 2)), 0)
+    outputs = toy.regressors(moved) @ toy.base_parameters + rotor * acceleration
+    effects = [effect_from_text(f'rotor_inertia@{joint}') for joint in joints]
+    found = from_recording(toy, effects, replace(moved, outputs=outputs), True, False, 'it')
+    np.testing.assert_allclose(found.mean[-2:], rotor, rtol=0.1)
