@@ -125,18 +125,38 @@ class SampleTable:
     def estimate(self, rows: Mask) -> tuple[Array, Array]:
         """Mean (p,) and information (p, p) of theta from some samples (N,)."""
         mean, precision = self.prior
-        information, right = np.diag(precision), precision * mean
-        for channel, deviation in enumerate(self.deviation):
-            root = np.sqrt(self.weight[rows, channel]) / deviation
-            columns = self.columns[rows, channel] * root[:, None]
-            information += columns.T @ columns
-            right += columns.T @ (self.outputs[rows, channel] * root)
+        information, right = self._of_samples(rows)
+        information, right = information + np.diag(precision), right + precision * mean
         try:
             mean = cho_solve(cho_factor(information), right)
         except np.linalg.LinAlgError as error:
             raise SemiparamError('the samples fit no inertias: outputs and masses of the robot '
                                  'description differ by many powers of ten; check their units.') from error
         return mean, np.asarray(information, dtype=np.float64)
+
+    def _of_samples(self, rows: Mask) -> tuple[Array, Array]:
+        """Information (p, p) of some samples (N,) alone, and its product (p,) with what they say of theta."""
+        count = self.columns.shape[2]
+        information, right = np.zeros((count, count)), np.zeros(count)
+        for channel, deviation in enumerate(self.deviation):
+            root = np.sqrt(self.weight[rows, channel]) / deviation
+            columns = self.columns[rows, channel] * root[:, None]
+            information += columns.T @ columns
+            right += columns.T @ (self.outputs[rows, channel] * root)
+        return information, right
+
+    def by_samples_alone(self) -> SampleTable:
+        """The same with the deviations of what the samples leave of themselves, whatever the prior says.
+
+        :meth:`weighed` may end in either of two places, for errors of the prior that are taken for slow noise make the
+        samples say little.
+        """
+        mean, precision = self.prior
+        scale = precision**-0.5
+        information, right = self._of_samples(self.used)
+        apart = np.linalg.lstsq(information * np.outer(scale, scale), (right - information @ mean) * scale)[0]
+        left = self.residual(mean + scale * apart)[self.used]
+        return replace(self, deviation=np.maximum(left.std(axis=0), 1e-9 * self.deviation))
 
     def residual(self, theta: Array) -> Array:
         """Residual (N, n) of theta (p,)."""
@@ -184,12 +204,13 @@ def from_recording(body: RigidBody, effects: Sequence[Effect], samples: Samples,
     best: tuple[float, str, SampleTable] | None = None
     for motion, measured in MOTIONS.items():
         rows = replace(smoothed(samples, measured), whole=True)[::step]
-        table = _table(model, rows, moves[::step], keep_inertias).weighed()
-        table = _with_starts(table, rows.time)
-        loss = sum(float(np.nansum(table.error(mean, fold)) * fold.sum())
-                   for fold, (mean, _) in zip(table.folds, table.fold_estimates, strict=True))
-        if best is None or loss < best[0]:
-            best = loss, motion, table
+        begun = _table(model, rows, moves[::step], keep_inertias)
+        for table in (begun, begun.by_samples_alone()):
+            table = _with_starts(table.weighed(), rows.time)
+            loss = sum(float(np.nansum(table.error(mean, fold)) * fold.sum())
+                       for fold, (mean, _) in zip(table.folds, table.fold_estimates, strict=True))
+            if best is None or loss < best[0]:
+                best = loss, motion, table
     assert best is not None
     _, motion, table = best
     how = f'{int(table.used.sum())} samples of {name}, motion {motion}'
