@@ -288,19 +288,36 @@ def _with_starts(table: SampleTable, time: Array) -> SampleTable:
         best = _best_start(table, part, block)
         if best == 0:
             continue
-        columns = table.columns.copy()
-        columns[block < best, :, part] = 0.0
-        table = replace(table, columns=columns)
+        table = _beginning(table, part, block, best)
         if best < BLOCKS:
-            starts = {**table.starts, part.start: float(time[block == best][0])}
-            around = np.abs(block - best + 0.5) < 1.0
-            table = replace(table, starts=starts, used=table.used & ~around)
+            table = replace(table, starts={**table.starts, part.start: float(time[block == best][0])})
     return table.weighed()
+
+
+def _beginning(table: SampleTable, part: slice, block: Indices, start: int) -> SampleTable:
+    """The same where the columns of ``part`` are there from a block on, of which what is around tells nothing."""
+    columns = table.columns.copy()
+    columns[block < start, :, part] = 0.0
+    around = (np.abs(block - start + 0.5) < 1.0) & (0 < start < BLOCKS)
+    return replace(table, columns=columns, used=table.used & ~around)
 
 
 def _best_start(table: SampleTable, part: slice, block: Indices) -> int:
     """The block from which on the columns of ``part`` are most probably there, by the evidence of
-    the samples; BLOCKS where they never are."""
+    the samples; BLOCKS where they never are.
+
+    The samples are as unsure as with the start that fits them best: what is wrong with another is no slow noise.
+    """
+    fitting = int(np.argmax(_evidence_of_starts(table.by_samples_alone(), part, block)))
+    best = _beginning(table, part, block, fitting).by_samples_alone().weighed()
+    evidence = _evidence_of_starts(replace(table, deviation=best.deviation, weight=best.weight), part, block)
+    found = int(np.argmax(evidence))
+    likely = evidence[found] > evidence[0] + np.log(BLOCKS)  # before, as probable as all others
+    return found if likely else 0
+
+
+def _evidence_of_starts(table: SampleTable, part: slice, block: Indices) -> Array:
+    """Log evidence [nat] (BLOCKS + 1,) of each start, the last of none."""
     mean, precision = table.prior
     grams, rights = [], []
     for number in range(BLOCKS):
@@ -320,6 +337,4 @@ def _best_start(table: SampleTable, part: slice, block: Indices) -> int:
             right = right + there * sum(rights[:start])
         factor = cho_factor(information)
         evidence[start] = 0.5 * right @ cho_solve(factor, right) - np.log(np.diag(factor[0])).sum()
-    best = int(np.argmax(evidence))
-    likely = evidence[best] > evidence[0] + np.log(BLOCKS)  # before, as probable as all others
-    return best if likely else 0
+    return evidence
