@@ -4,10 +4,12 @@ and whether the robot has moved enough to identify them."""
 from __future__ import annotations
 
 from collections.abc import Collection
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
+from scipy.linalg import eigh, null_space
 
 from semiparam_ros.core.columns import CoupledColumns
 from semiparam_ros.core.estimator import Estimator
@@ -16,6 +18,7 @@ from semiparam_ros.core.model import Model
 from semiparam_ros.core.robot.frames import last_link, load_seen_from, load_transform
 from semiparam_ros.core.robot.joint_friction import NAMES, UNITS
 from semiparam_ros.core.robot.rigid_body import RigidBody
+from semiparam_ros.core.robot.size import base_scale, inertial_scale
 from semiparam_ros.core.samples import Sample
 from semiparam_ros.core.types import Array
 from semiparam_ros.effects.base import spelling
@@ -28,6 +31,8 @@ SMALLEST_MASS = 1e-3
 """[kg] A lighter payload has no centre of mass worth telling."""
 BROAD = 100.0
 """[kg, kg m, kg m^2] Standard deviation of a load's parameters before anything is known of them."""
+KNOWN_AT_BEST, SHARES = 1e-12, 200
+"""Of the prior's, the variance that a combination of parameters has at least; number of shares tried."""
 
 
 class Excitation:
@@ -172,15 +177,43 @@ def _declared_load(estimator: Estimator, theta: Array, covariance: Array) -> Loa
 
 def _added_load(body: RigidBody, link: str, theta: Array, covariance: Array) -> tuple[Array, Array]:
     """(10,) inertial parameters at ``link`` that explain best what was learnt beyond the description, by generalised
-    least squares, and their covariance (10, 10): what the motion does not tell keeps a deviation of ``BROAD``."""
-    index, transform = load_transform(body, link)
-    load = body.basis[10 * index:10 * index + 10].T @ transform
+    least squares, and their covariance (10, 10): what the motion does not tell keeps a deviation of ``BROAD``.
+
+    The deviations hold that the description is as wrong elsewhere as what no load explains.
+    """
+    load, free, prior = _load_and_description(body, link)
+    beyond = theta - body.base_parameters
+    wrong = _wrong_by(free.T @ beyond, free.T @ covariance @ free, free.T @ prior @ free)
     std = np.sqrt(np.maximum(np.diag(covariance), 1e-24))
     values, vectors = np.linalg.eigh(covariance / np.outer(std, std))
     whitened = vectors.T / np.sqrt(np.maximum(values, 1e-12))[:, None]
     rows = whitened @ (load / std[:, None])
     spread = np.linalg.inv(rows.T @ rows + np.eye(10) / BROAD**2)
-    return spread @ rows.T @ whitened @ ((theta - body.base_parameters) / std), spread
+    gain = spread @ rows.T @ (whitened / std)
+    return gain @ beyond, spread + wrong * gain @ prior @ gain.T
+
+
+@lru_cache(maxsize=8)
+def _load_and_description(body: RigidBody, link: str) -> tuple[Array, Array, Array]:
+    """(p, 10) what a load at ``link`` adds to the base parameters, (p, k) directions in which it adds nothing, over
+    their scales, and (p, p) the prior covariance of the base parameters."""
+    index, transform = load_transform(body, link)
+    load = body.basis[10 * index:10 * index + 10].T @ transform
+    scale = base_scale(body)
+    prior = (body.basis.T * inertial_scale(body)**2) @ body.basis
+    return load, null_space((load / scale[:, None]).T) / scale[:, None], prior
+
+
+def _wrong_by(beyond: Array, covariance: Array, prior: Array) -> float:
+    """Share s of the prior covariance (k, k) by which a description errs: the likeliest where what was learnt beyond it
+    (k,) is of N(0, covariance + s prior)."""
+    if not len(beyond):
+        return 0.0
+    values, vectors = eigh(covariance, prior)
+    known, seen = np.maximum(values, KNOWN_AT_BEST), (vectors.T @ beyond)**2
+    shares = np.append(0.0, np.geomspace(known.min(), max(seen.max(), known.min()), SHARES))
+    variance = known + shares[:, None]
+    return float(shares[np.argmin((np.log(variance) + seen / variance).sum(axis=1))])
 
 
 def is_shown(load: Load) -> bool:

@@ -17,6 +17,7 @@ import pytest
 
 from semiparam_ros.bags.readings import Reading
 from semiparam_ros.core.estimator import Estimator
+from semiparam_ros.core.robot.frames import load_in_base
 from semiparam_ros.core.robot.tools import Tools
 from semiparam_ros.diagnosis.setup.identifiability import unidentifiable
 from semiparam_ros.effects import effect_from_text
@@ -31,8 +32,10 @@ from semiparam_ros.online.model_switcher import same_model
 from semiparam_ros.online.tare import Tare
 from semiparam_ros.online.worker import ProcessBackground, Urgency, _spawned_worker
 from semiparam_ros.ros.estimator.subscriptions import ClockWatch
+from semiparam_ros.settings import Settings
 from semiparam_ros.settings.build import build_estimator, build_rigid_body, model_options
 from semiparam_ros.settings.rules import broken_rule
+from support.arms import ICUB_JOINTS, ICUB_OWN, smooth_motion
 from support.learner_stage import Stage
 from support.node_helpers import (
     BODY,
@@ -827,6 +830,26 @@ def test_what_the_hand_carries_is_found():
     np.testing.assert_allclose(carried.centre, [0.02, 0.0, 0.1], atol=0.01)
     assert abs(carried.mass - 0.4) < 4 * carried.std.mass < 0.1
     assert (abs(carried.centre - [0.02, 0.0, 0.1]) < 4 * carried.std.centre).all()
+
+
+def test_what_the_hand_carries_is_as_unsure_as_the_description_is_wrong_elsewhere():
+    """Links heavier by 15 % and a load of 0.4 kg were told as a load that was off by 60 standard deviations."""
+    settings = Settings(joints=ICUB_JOINTS, outputs='effort', variant='P', initial_samples=100,
+                        robot_description=ICUB_OWN.read_text())
+    body, exact = build_rigid_body(settings), smooth_motion(4, 300)
+    load = np.array([0.4, 0.01, -0.01, 0.02, 4e-3, 0.0, 4e-3, 0.0, 0.0, 3e-3])
+    told = []
+    for heavier in (1.0, 1.15):
+        outputs = body.regressors(exact) @ (heavier * body.base_parameters + load_in_base(body, 'r_gripper', load))
+        outputs += 0.01 * np.random.default_rng(0).standard_normal(outputs.shape)
+        estimator = build_estimator(settings)
+        for sample in replace(exact, outputs=outputs):
+            estimator.step(sample)
+        told.append(reported_load(*carried_load(estimator)))
+    assert [each.link for each in told] == ['r_gripper'] * 2
+    errors = np.array([told[0].mass - 0.4, told[1].mass - 0.4 - 0.15 * body.inertial_parameters[-10]])
+    assert (abs(errors) < 4 * np.array([each.std.mass for each in told])).all()
+    assert told[0].std.mass < 0.01
 
 
 @pytest.mark.parametrize('variant', ['SP-ML', 'SP2-VS'])
