@@ -242,13 +242,17 @@ class _Solution:
             before = self._held.copy()
             self._held |= chosen & possible
             brings = _given_up(estimate, self.found(estimate.mean, estimate.information)[2]) - best
-            worse = self._left_out_errors(estimate) - errors
-            margin = np.sqrt(len(worse)) * worse.std(ddof=1) if len(worse) else 0.0
             count = min(PARAMETERS * (self._held & ~before).sum(), self._identifiable)
-            if brings <= count and worse.sum() <= margin:
+            if brings <= count and self._no_worse(estimate, errors):
                 best += brings
             else:
                 self._held = before
+
+    def _no_worse(self, estimate: Estimate, errors: Array) -> bool:
+        """Tell whether parts left out are predicted within one standard error as well as with these errors (FOLDS,)."""
+        worse = self._left_out_errors(estimate) - errors
+        margin = np.sqrt(len(worse)) * worse.std(ddof=1) if len(worse) else 0.0
+        return bool(worse.sum() <= margin)
 
     def _left_out_errors(self, estimate: Estimate) -> Array:
         """Normalised errors (FOLDS,) on parts of the samples, left out of the fit where it can be

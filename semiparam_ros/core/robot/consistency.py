@@ -162,7 +162,7 @@ def _minimum(problem: _Problem, pseudo: Array, share: float) -> Array:
     for _ in range(MOST_STEPS):
         roots = np.asarray(np.linalg.cholesky(pseudo), dtype=np.float64)
         gradient, curvature = problem.derivatives(pseudo, roots, share)
-        step = -cho_solve((np.linalg.qr(curvature, mode='r'), False), gradient)
+        step = -_solved(curvature[:-len(gradient)], gradient)
         promised = -float(gradient @ step)
         if promised < DECREMENT * max(1.0, value):
             break
@@ -179,6 +179,18 @@ def _minimum(problem: _Problem, pseudo: Array, share: float) -> Array:
         if falls_short:
             break  # rounding
     return pseudo
+
+
+def _solved(root: Array, right: Array) -> Array:
+    """(N,) the solution x of (1 + R'R) x = right (N,), with R (m, N), by rotations.
+
+    What an estimate knows has fewer directions than many links have parameters: only along these is there anything to
+    solve.
+    """
+    along, inner = np.linalg.qr(root.T)  # (N, k), (k, m) of R' = Q T, so that 1 + R'R = 1 + Q T T' Q'
+    seen = along.T @ right
+    triangle = np.linalg.qr(np.vstack([inner.T, np.eye(len(inner))]), mode='r')
+    return np.asarray(right - along @ seen + along @ cho_solve((triangle, False), seen))
 
 
 class _Problem:
@@ -217,7 +229,7 @@ class _Problem:
     def derivatives(self, pseudo: Array, roots: Array, share: float = 1.0) -> tuple[Array, Array]:
         """(10 n,) gradient and (m, 10 n) a root of the Hessian at P = L L' in the coordinates of
         L^-1 P L^-T in ``SYMMETRIC``, in which that of -log det P is the identity, however thin a
-        body is."""
+        body is: the last 10 n rows."""
         sizes = roots[:, None] @ SYMMETRIC @ np.swapaxes(roots, 1, 2)[:, None]
         columns = np.hstack(list(self._columns @ np.swapaxes(inertial_parameters(sizes), 1, 2)))
         slope = share * np.einsum('kab,kiba->ki', self._inverse, sizes)
@@ -228,8 +240,8 @@ class _Problem:
         seen = self._root @ columns
         bounds = np.zeros((len(toward), *slope.shape))
         bounds[np.arange(len(toward)), np.flatnonzero(self._bound)] = toward / left[:, None]
-        curvature = np.vstack([np.sqrt(share) * seen, np.eye(slope.size),
-                               bounds.reshape(-1, slope.size)])
+        curvature = np.vstack([np.sqrt(share) * seen, bounds.reshape(-1, slope.size),
+                               np.eye(slope.size)])
         return share * seen.T @ (self._root @ self._error(pseudo)) + slope.ravel(), curvature
 
     def _error(self, pseudo: Array) -> Array:
