@@ -63,6 +63,19 @@ def variance(values: Array) -> Array:
     return np.asarray(values.var(axis=0) * (np.ptp(values, axis=0) > 0.0))
 
 
+def at_middle(means: Array, stamps: Stamps, length_s: float, count: int) -> Array:
+    """Means (N, ...) of ``count`` neighbours over ``length_s``, less what they differ by from the values in
+    their middles (N,) ``stamps`` [ns] where a quantity curves: T^2 / 24 times its second derivative, as the second
+    neighbours tell it: the next ones would bring more noise."""
+    steps = np.maximum((stamps[2:] - stamps[:-2]) * 1e-9, 2.0 * length_s)  # a gap leaves no curvature
+    steps = steps.reshape(-1, *(1,) * (means.ndim - 1))
+    slopes = (means[2:] - means[:-2]) / steps
+    second = 2.0 * (slopes[2:] - slopes[:-2]) / (steps[2:] + steps[:-2])
+    found = means.copy()
+    found[2:-2] -= (1.0 - 1.0 / count**2) * length_s**2 / 24.0 * second
+    return found
+
+
 @dataclass(frozen=True, eq=False)
 class Samples:
     """N samples in order of time; ``origin`` [ns] is where ``time`` starts, and slices keep it.

@@ -17,7 +17,7 @@ import numpy as np
 
 from semiparam_ros.core.hyperparameters.window import residual_scale
 from semiparam_ros.core.robot.rigid_body import RigidBody
-from semiparam_ros.core.samples import Samples
+from semiparam_ros.core.samples import Samples, at_middle
 from semiparam_ros.core.signals.smoothing import acceleration_errors, smoothed, smoothed_again
 from semiparam_ros.core.types import Array, Mask
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
@@ -293,9 +293,8 @@ def require_enough(config: DiagnosisConfig, *masks: Mask) -> None:
 def averaged(samples: Samples, factor: int) -> Samples:
     """Means of ``factor`` neighbouring samples, for the time in their middle; a remainder at the end is left out.
 
-    Their mean differs from that where a quantity curves: over a time T by T^2 / 24 times its second derivative, which
-    is taken off, as the second neighbours tell it: the next ones would bring more noise. Outputs are products of the
-    motion and curve more than it does, so means of both read as a gain.
+    Their mean differs from that where a quantity curves, which is taken off. Outputs are products of the motion and
+    curve more than it does, so means of both read as a gain.
     """
     if factor == 1:
         return samples
@@ -303,17 +302,12 @@ def averaged(samples: Samples, factor: int) -> Samples:
     stamps = samples.stamps[:groups * factor].reshape(groups, factor)
     middle = stamps[:, 0] + (stamps[:, -1] - stamps[:, 0]) // 2
     length = factor * float(np.median(np.diff(samples.stamps))) * 1e-9
-    steps = np.maximum((middle[2:] - middle[:-2]) * 1e-9, 2.0 * length)[:, None]  # a gap leaves no curvature
 
     def mean(values: Array) -> Array:
         return np.asarray(values[:groups * factor].reshape(groups, factor, -1).mean(axis=1))
 
     def now(values: Array) -> Array:
-        means = mean(values)
-        slopes = (means[2:] - means[:-2]) / steps
-        second = 2.0 * (slopes[2:] - slopes[:-2]) / (steps[2:] + steps[:-2])
-        means[2:-2] -= (1.0 - 1.0 / factor**2) * length**2 / 24.0 * second
-        return means
+        return at_middle(mean(values), middle, length, factor)
 
     return Samples(middle, now(samples.position), now(samples.velocity), now(samples.acceleration),
                    now(samples.outputs), samples.origin, samples.breaks, averaged_s=length,

@@ -11,7 +11,7 @@ import numpy as np
 from semiparam_ros.core.columns import ColumnBlock, JointColumns, Memory
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.robot.size import plausible, size_beyond
-from semiparam_ros.core.samples import Samples
+from semiparam_ros.core.samples import Samples, at_middle
 from semiparam_ros.core.types import Array
 from semiparam_ros.effects.base import (
     ALWAYS,
@@ -143,7 +143,8 @@ class _Sliding(JointEffect):
         velocity, change = samples.velocity[:, joint], samples.acceleration[:, joint]
         if samples.averaged_s > 0.0:
             ahead, turn = velocity + self.value('lead_s') * change, self.value('turn_speed', 0.01)
-            return _mean_tanh(ahead, 0.5 * samples.averaged_s * np.abs(change), turn), None
+            means = _mean_tanh(ahead, 0.5 * samples.averaged_s * np.abs(change), turn)
+            return at_middle(means, samples.stamps, samples.averaged_s, samples.averaged_of), None
         return self._direction_now(velocity, change), None
 
     def _direction_now(self, velocity: Array, acceleration: Array) -> Array:
