@@ -9,14 +9,15 @@ from typing import NamedTuple
 
 from semiparam_ros.diagnosis.data.recordings import breaks_s
 from semiparam_ros.diagnosis.regression import Fit, with_effects
-from semiparam_ros.diagnosis.search.candidates import Place, added_columns, identity, others
+from semiparam_ros.diagnosis.search.candidates import Place, added_columns, candidates, identity, others
 from semiparam_ros.diagnosis.search.plausibility import all_plausible, plausible, prices, without_impossible
 from semiparam_ros.diagnosis.search.refit import declare
 from semiparam_ros.diagnosis.search.revision import formed_anew, pruned, reshaped
 from semiparam_ros.diagnosis.search.score import Gain, gain
-from semiparam_ros.diagnosis.search.scoring import Trial, coarse_trial
+from semiparam_ros.diagnosis.search.scoring import Progress, Trial, coarse, coarse_trial, refine_foremost
 from semiparam_ros.diagnosis.search.spans import best_spans, with_best_edge
 from semiparam_ros.effects import Effect
+from semiparam_ros.effects.friction import JointEffect
 
 
 class Move(NamedTuple):
@@ -130,6 +131,34 @@ def group_moves(fit: Fit, trials: Sequence[Trial], fixed: Collection[Place], kin
             if added:
                 moves.append(Move(added, after, gain(fit, after), prices(added, fit, kinds)))
     return moves
+
+
+def hidden_moves(fit: Fit, trials: Sequence[Trial], fixed: Collection[Place], kinds: dict[str, type[Effect]],
+                 report: Progress) -> list[Move]:
+    """The best move that gives a joint its friction and one more cause at once.
+
+    A joint that lacks both hides either of them: with one alone, what is left repeats itself for so long that hardly
+    any of its samples tell something.
+    """
+    known, tried = {identity(effect) for effect in fit.effects}, {identity(trial.effect): trial for trial in trials}
+    lacking = [place for place in candidates(fit, kinds)
+               if place[0].group and issubclass(place[0], JointEffect) and place[0].resists]
+    if not lacking:
+        return []
+    friction = [tried[kind.kind, where, None].effect if (kind.kind, where, None) in tried else
+                kind.from_values(where, kind.searches(fit.body, fit.samples, where, fit.residual)[0])
+                for kind, where in lacking]
+    joints = {where for _, where in lacking}
+    beside = reshaped(declare(fit, friction), known, kinds)
+    pool = [(kind, where) for kind, where in candidates(beside, kinds) if where in joints]
+    ranking = refine_foremost(beside, coarse(beside, pool, report))
+    good = [move for move in single_moves(beside, ranking, kinds) if move.good]
+    if not good:
+        return []
+    after = without_impossible(max(good, key=lambda move: move.net).after, fixed)
+    after = pruned(reshaped(after, known, kinds), {*fixed, *known}, kinds)
+    added = [effect for effect in after.effects if identity(effect) not in known]
+    return _plausible_moves(fit, after, added, kinds) if added else []
 
 
 def moving_moves(fit: Fit, fixed: Collection[Place], kinds: dict[str, type[Effect]]) -> list[Move]:

@@ -20,6 +20,7 @@ from semiparam_ros.diagnosis.search.moves import (
     Move,
     ending_moves,
     group_moves,
+    hidden_moves,
     moving_moves,
     repeated_moves,
     simplest,
@@ -115,7 +116,7 @@ def _next_step(fit: Fit, kinds: dict[str, type[Effect]], fixed: Collection[Place
     """The best move that comes to something, and what it makes needless.
 
     What moves in time bends what was just found at many places, so it is tried beside other forms of what is known
-    then; and where nothing else is good.
+    then; and where nothing else is good. Two causes at once are tried where one alone comes to nothing.
     """
     trials = coarse(fit, candidates(fit, kinds), report)
     ranking = refine_foremost(fit, trials)
@@ -123,6 +124,14 @@ def _next_step(fit: Fit, kinds: dict[str, type[Effect]], fixed: Collection[Place
              *repeated_moves(fit, ranking, kinds), *swapping_moves(fit, _rivalries(fit, steps), kinds)]
     if (steps and len(steps[-1].added) > 1) or not any(move.good for move in moves):
         moves += moving_moves(fit, fixed, kinds)
+    made = partial(_first_made, fit, ranking, fixed, kinds, steps, report)
+    return made(moves) or made(hidden_moves(fit, trials, fixed, kinds, report)) or (
+        None if steps else _revalued(fit, kinds, ranking))
+
+
+def _first_made(fit: Fit, ranking: Sequence[Trial], fixed: Collection[Place], kinds: Collection[str],
+                steps: Sequence[Step], report: Progress, moves: Sequence[Move]) -> Step | None:
+    """The step of the best of the good moves that comes to something."""
     good = [move for move in moves if move.good]
     while good:
         best = simplest(good)
@@ -132,7 +141,7 @@ def _next_step(fit: Fit, kinds: dict[str, type[Effect]], fixed: Collection[Place
         if step.added or (steps and gain(fit, step.after).total > fit.config.settled_gain):
             return step
         good = [move for move in good if move is not best]
-    return None if steps else _revalued(fit, kinds, ranking)
+    return None
 
 
 def _revalued(fit: Fit, kinds: Collection[str], ranking: Sequence[Trial]) -> Step | None:
