@@ -262,8 +262,8 @@ class DiagnosisConfig:
     # --- several recordings and rivals ---
 
     better_odds: float = 20.0
-    """Prefers a plainer cause up to these odds against it, where what it leaves is white, and names a rival passed over
-    for it as the better one above them: strong evidence (Kass and Raftery 1995)."""
+    """Prefers what the description leaves open up to these odds against it, of as many values, and names a rival passed
+    over for another as the better one above them: strong evidence (Kass and Raftery 1995)."""
 
     # --- residual: contacts ---
 

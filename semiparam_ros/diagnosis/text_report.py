@@ -248,8 +248,8 @@ def _rivals(finding: Finding, better_odds: float) -> list[str]:
              f'{kinds()[finding.effect.kind].separated_by}.']
     better = [rival for rival in finding.rivals if rival.odds > better_odds]
     if better:
-        lines.append(f'  {_with_odds(better)} would explain it better, with more parameters: the plainer cause was '
-                     'chosen. Look there first if it is not it.')
+        lines.append(f'  {_with_odds(better)} would explain it better, with more parameters or against the '
+                     'description: the plainer cause was chosen. Look there first if it is not it.')
     return lines
 
 

@@ -135,3 +135,18 @@ def test_rounding_tells_no_times_apart(monkeypatch):
 
     since, until = move(Span(5.0), 30.0), move(Span(end_s=5.0), 30.0 + 1e-9)
     assert simplest([until, since]) is since
+
+
+@pytest.mark.parametrize(('difference', 'kind'), [(2.0, 'rotor_inertia'), (4.0, 'joint_offset')])
+def test_what_the_description_leaves_open_is_taken_before_a_wrong_zero_that_is_hardly_likelier(
+        difference, kind, monkeypatch):
+    """Where two axes are parallel, a zero that is off by .2 to .3 rad imitated the rotor of the second."""
+    def over(one, other):
+        return Gain(difference if one.effects[0].kind == 'rotor_inertia' else -difference, 1.0)
+
+    def move(effect, total):
+        return Move((effect,), SimpleNamespace(effects=(effect,), body=BODY, config=DEFAULTS), Gain(total, 0.0), 10.0)
+
+    monkeypatch.setattr('semiparam_ros.diagnosis.search.moves.gain', over)
+    zero, rotor = kinds()['joint_offset']('turn', {'offset': 0.2}), kinds()['rotor_inertia']('elbow')
+    assert simplest([move(zero, 28.0), move(rotor, 20.0)]).added[0].kind == kind

@@ -179,19 +179,24 @@ def moving_moves(fit: Fit, fixed: Collection[Place], kinds: dict[str, type[Effec
 
 
 def simplest(moves: Sequence[Move]) -> Move:
-    """Move of the fewest values among those that no block tells from the best one; of as many, what lasts."""
+    """Move of the fewest values among those that no block tells from the best one; of as many, what lasts, and what the
+    robot description leaves open, as a rotor, before what it says, as where a joint's zero is."""
     best = max(moves, key=lambda move: move.net)
     alike = [move for move in moves if len(move.added) == 1 == len(best.added)
              and (move is best or _alike(move, best))]
     return min(alike, key=lambda move: (
         sum(values_of(effect, move.after) for effect in move.after.effects), move.added[0].ends,
-        -move.net)) if alike else best
+        move.added[0].is_calibration, -move.net)) if alike else best
 
 
 def _alike(one: Move, other: Move) -> bool:
-    """Return whether no block tells them apart, nor rounding: an offset from a time on is one until then."""
-    difference = gain(one.after, other.after)
-    return difference.total < max(difference.error, one.after.config.settled_gain)
+    """Return whether no block tells them apart, nor rounding: an offset from a time on is one until then. What the
+    description leaves open is taken up to ``better_odds`` before as many values of what it says."""
+    difference, config = gain(one.after, other.after), one.after.config
+    mine, known = one.added[0], other.added[0]
+    left_open = known.is_calibration and not mine.is_calibration \
+        and values_of(mine, one.after) == values_of(known, other.after)
+    return difference.total < max(difference.error, math.log(config.better_odds) if left_open else config.settled_gain)
 
 
 def values_of(effect: Effect, fit: Fit) -> int:
