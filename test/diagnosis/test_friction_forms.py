@@ -9,6 +9,7 @@ from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.diagnosis.diagnose import diagnose
 from semiparam_ros.diagnosis.preparation import averaged
 from semiparam_ros.diagnosis.residual.contacts import contacts
+from semiparam_ros.diagnosis.search.moves import hidden_moves
 from semiparam_ros.diagnosis.search.plausibility import without_impossible
 from semiparam_ros.diagnosis.search.refit import declare, gauss_newton, settled
 from semiparam_ros.diagnosis.search.revision import bent, pruned, with_common_forms
@@ -228,3 +229,17 @@ def test_friction_and_another_cause_that_hide_each_other_are_found_together(join
                      only=['coulomb_friction', 'viscous_friction', 'transmission_ripple'])
     assert {(effect.kind, effect.where) for effect in found.final.effects} == {
         (kind, BODY.joints[joint]) for kind in ('coulomb_friction', 'viscous_friction', 'transmission_ripple')}
+
+
+def test_friction_and_rotors_that_hide_each_other_are_tried_together_without_another_cause():
+    """Beside its dry friction a knee had neither viscous friction nor rotor: 4 and 3 nat alone, 28 together."""
+    motion = smooth_motion(4, 600, seed=0, speed=0.5)
+    exact = BODY.regressors(motion) @ BODY.base_parameters
+    exact[:, 2] += exact[:, 2].std() * (0.3 * motion.velocity[:, 2] + 0.3 * motion.acceleration[:, 2])
+    noise = 0.01 * exact.std(axis=0) * np.random.default_rng(1).standard_normal(exact.shape)
+    fit = starting_fit(BODY, replace(motion, outputs=exact + noise, whole=True), [], np.ones(600, dtype=bool))
+    (move,) = hidden_moves(fit, [], [], {kind: KINDS[kind] for kind in ('viscous_friction', 'rotor_inertia')},
+                           lambda words, share: None)
+    assert move.good
+    assert {(effect.kind, effect.where) for effect in move.added} == {
+        ('viscous_friction', 'elbow'), ('rotor_inertia', 'elbow')}

@@ -135,9 +135,9 @@ def group_moves(fit: Fit, trials: Sequence[Trial], fixed: Collection[Place], kin
 
 def hidden_moves(fit: Fit, trials: Sequence[Trial], fixed: Collection[Place], kinds: dict[str, type[Effect]],
                  report: Progress) -> list[Move]:
-    """The best move that gives a joint its friction and one more cause at once.
+    """The best move that gives joints their friction and rotors, and one more cause there, at once.
 
-    A joint that lacks both hides either of them: with one alone, what is left repeats itself for so long that hardly
+    A joint that lacks two hides either of them: with one alone, what is left repeats itself for so long that hardly
     any of its samples tell something.
     """
     known, tried = {identity(effect) for effect in fit.effects}, {identity(trial.effect): trial for trial in trials}
@@ -153,9 +153,7 @@ def hidden_moves(fit: Fit, trials: Sequence[Trial], fixed: Collection[Place], ki
     pool = [(kind, where) for kind, where in candidates(beside, kinds) if where in joints]
     ranking = refine_foremost(beside, coarse(beside, pool, report))
     good = [move for move in single_moves(beside, ranking, kinds) if move.good]
-    if not good:
-        return []
-    after = without_impossible(max(good, key=lambda move: move.net).after, fixed)
+    after = without_impossible(max(good, key=lambda move: move.net).after if good else beside, fixed)
     after = pruned(reshaped(after, known, kinds), {*fixed, *known}, kinds)
     added = [effect for effect in after.effects if identity(effect) not in known]
     return _plausible_moves(fit, after, added, kinds) if added else []
