@@ -36,7 +36,7 @@ WRONG_TYPES = {'bool': [1, 'true'], 'integer': ['5', 0.5, True], 'double': ['1.0
                'string': [1, True, 2.0], 'string_array': ['P', [1, 2], 7], 'double_array': ['1', ['a']]}
 BURST, QUIET = 3000, 1000
 """Samples with changes of the settings, and without, in turns: a model needs seconds to be there."""
-MOST_WAITING, RETAINED, MEMORY_MB, GAP_EVERY = 5, 3000, 30.0, 100
+MOST_WAITING, RETAINED, MEMORY_MB, GAP_EVERY = 5, 3000, 60.0, 100
 MOST_SILENT_S = 1.0
 NOT_BUILT = 'could not be built'
 TOGETHER = 'several in one atomic set'
