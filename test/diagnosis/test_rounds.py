@@ -89,13 +89,14 @@ def test_a_joint_at_rest_tells_nothing_while_others_move():
 
 
 def test_working_samples_that_hold_some_of_a_rest_tell_nothing():
-    """Neighbours tell their curvature, and there static friction holds any effort: a UR5 erred 2.4 times as much."""
+    """Their curvature is told by neighbours, at which static friction holds any effort: a UR5 erred 2.4 times as much."""
     samples, still = with_rests()
-    working = averaged(samples, 2)
-    rests = resting(working)[:, 1]
+    working, factor = averaged(samples, 5), 5
+    of_rest = still[:len(working) * factor].reshape(-1, factor).any(axis=1)
     counted = counted_outputs(BODY, working)[:, 1]
-    assert still[:2 * len(working)].reshape(-1, 2).any(axis=1)[rests].mean() > 0.85
-    assert not counted[binary_dilation(rests, np.ones(5))].any() and counted.sum() > 50
+    rests = resting(working)[:, 1]
+    assert not counted[binary_dilation(rests, np.ones(5))].any() and counted.mean() > 0.1
+    assert of_rest[rests].mean() > 0.9
 
 
 def test_a_joint_that_rests_wherever_it_is_judged_is_judged_all_the_same():
