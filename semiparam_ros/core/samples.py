@@ -63,10 +63,6 @@ def variance(values: Array) -> Array:
     return np.asarray(values.var(axis=0) * (np.ptp(values, axis=0) > 0.0))
 
 
-CURVATURE_REACH = 2
-"""Neighbours on either side from which :func:`at_middle` tells how a quantity curves."""
-
-
 def at_middle(means: Array, stamps: Stamps, length_s: float, count: int) -> Array:
     """Means (N, ...) of ``count`` neighbours over ``length_s``, less what they differ by from the values in
     their middles (N,) ``stamps`` [ns] where a quantity curves: T^2 / 24 times its second derivative, as the second
@@ -76,7 +72,7 @@ def at_middle(means: Array, stamps: Stamps, length_s: float, count: int) -> Arra
     slopes = (means[2:] - means[:-2]) / steps
     second = 2.0 * (slopes[2:] - slopes[:-2]) / (steps[2:] + steps[:-2])
     found = means.copy()
-    found[CURVATURE_REACH:-CURVATURE_REACH] -= (1.0 - 1.0 / count**2) * length_s**2 / 24.0 * second
+    found[2:-2] -= (1.0 - 1.0 / count**2) * length_s**2 / 24.0 * second
     return found
 
 

@@ -7,7 +7,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from scipy.ndimage import binary_dilation
 
 from conftest import SHARED_DATA
 from semiparam_ros.bags.loading import load_samples
@@ -19,7 +18,7 @@ from semiparam_ros.diagnosis.config import DEFAULTS
 from semiparam_ros.diagnosis.data.outliers import counted_outputs, resting
 from semiparam_ros.diagnosis.diagnose import _unlike, diagnose
 from semiparam_ros.diagnosis.evaluation import evaluation_of
-from semiparam_ros.diagnosis.preparation import ESTIMATED, averaged, best_inputs
+from semiparam_ros.diagnosis.preparation import ESTIMATED, best_inputs
 from semiparam_ros.diagnosis.regression import Fit, fit_model, refitted, with_effects
 from semiparam_ros.diagnosis.search import stepwise
 from semiparam_ros.diagnosis.search.candidates import added_columns, candidates, held
@@ -86,17 +85,6 @@ def test_a_joint_at_rest_tells_nothing_while_others_move():
     assert counted[~still, 1].mean() > 0.5
     assert counted_outputs(RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, 'wrench', 'mid_link_ft'),
                            replace(samples, outputs=np.zeros((COUNT, 6)))).all()
-
-
-def test_working_samples_that_hold_some_of_a_rest_tell_nothing():
-    """Their curvature is told by neighbours, at which static friction holds any effort: a UR5 erred 2.4 times as much."""
-    samples, still = with_rests()
-    working, factor = averaged(samples, 5), 5
-    of_rest = still[:len(working) * factor].reshape(-1, factor).any(axis=1)
-    counted = counted_outputs(BODY, working)[:, 1]
-    rests = resting(working)[:, 1]
-    assert not counted[binary_dilation(rests, np.ones(5))].any() and counted.mean() > 0.1
-    assert of_rest[rests].mean() > 0.9
 
 
 def test_a_joint_that_rests_wherever_it_is_judged_is_judged_all_the_same():

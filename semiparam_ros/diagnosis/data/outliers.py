@@ -19,7 +19,7 @@ import numpy as np
 from scipy.ndimage import binary_dilation, maximum_filter1d, minimum_filter1d
 
 from semiparam_ros.core.robot.rigid_body import RigidBody
-from semiparam_ros.core.samples import CURVATURE_REACH, Samples
+from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array, Mask
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
 
@@ -138,14 +138,12 @@ def sliding(samples: Samples, config: DiagnosisConfig = DEFAULTS) -> Mask:
 
 
 def counted_outputs(body: RigidBody, samples: Samples, config: DiagnosisConfig = DEFAULTS) -> Mask:
-    """(N, n) outputs that tell something: of efforts, those of joints that move, and did so in all that a working
-    sample is made of, for at rest static friction holds any effort.
+    """(N, n) outputs that tell something: of efforts, those of joints that move.
 
     Those of a joint that hardly ever moves stay, for nothing would be left of it.
     """
     counted = np.ones(samples.outputs.shape, dtype=bool)
     if body.outputs == 'effort':
-        reach = 2 * CURVATURE_REACH * (samples.averaged_s > 0.0) + 1
-        moving = ~binary_dilation(resting(samples, config), np.ones((reach, 1)))[:, body.output_index]
+        moving = ~resting(samples, config)[:, body.output_index]
         counted = moving | (moving.sum(axis=0) < config.least_working_samples)
     return counted
