@@ -160,6 +160,8 @@ class Effect(ColumnBlock):
     moves_friction: ClassVar[bool] = False
     """Mark of a calibration that moves other effects in time or speed: its derivative holds theirs.
     """
+    resists: ClassVar[bool] = False
+    """Mark of coefficients that add up to a resistance, which cannot be negative."""
     averages: ClassVar[bool] = False
     """Mark of a calibration that averages the noise of inputs, also where its values are zero."""
     group: ClassVar[str] = ''

@@ -43,8 +43,6 @@ class JointEffect(Effect):
 
     outputs: ClassVar[tuple[str, ...]] = ('effort',)
     of_joint: ClassVar[bool] = True
-    resists: ClassVar[bool] = False
-    """Mark of coefficients that add up to a resistance, which cannot be negative."""
     values_by_row: ClassVar[bool] = False
     """Mark of parameters that may be arrays (N,) in :meth:`functions`, one value for each row."""
 

@@ -17,7 +17,6 @@ from semiparam_ros.diagnosis.search.score import Gain, gain
 from semiparam_ros.diagnosis.search.scoring import Progress, Trial, coarse, coarse_trial, refine_foremost
 from semiparam_ros.diagnosis.search.spans import best_spans, with_best_edge
 from semiparam_ros.effects import Effect
-from semiparam_ros.effects.friction import JointEffect
 
 
 class Move(NamedTuple):
@@ -141,8 +140,7 @@ def hidden_moves(fit: Fit, trials: Sequence[Trial], fixed: Collection[Place], ki
     any of its samples tell something.
     """
     known, tried = {identity(effect) for effect in fit.effects}, {identity(trial.effect): trial for trial in trials}
-    lacking = [place for place in candidates(fit, kinds)
-               if place[0].group and issubclass(place[0], JointEffect) and place[0].resists]
+    lacking = [(kind, where) for kind, where in candidates(fit, kinds) if kind.group and kind.resists]
     if not lacking:
         return []
     friction = [tried[kind.kind, where, None].effect if (kind.kind, where, None) in tried else
