@@ -4,7 +4,6 @@ and whether the robot has moved enough to identify them."""
 from __future__ import annotations
 
 from collections.abc import Collection
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -17,7 +16,7 @@ from semiparam_ros.core.input_range import widen
 from semiparam_ros.core.model import Model
 from semiparam_ros.core.robot.frames import last_link, load_seen_from, load_transform
 from semiparam_ros.core.robot.joint_friction import NAMES, UNITS
-from semiparam_ros.core.robot.rigid_body import RigidBody
+from semiparam_ros.core.robot.rigid_body import RigidBody, remembered
 from semiparam_ros.core.robot.size import base_scale, inertial_scale
 from semiparam_ros.core.samples import Sample
 from semiparam_ros.core.types import Array
@@ -193,7 +192,7 @@ def _added_load(body: RigidBody, link: str, theta: Array, covariance: Array) -> 
     return gain @ beyond, spread + wrong * gain @ prior @ gain.T
 
 
-@lru_cache(maxsize=8)
+@remembered
 def _load_and_description(body: RigidBody, link: str) -> tuple[Array, Array, Array]:
     """(p, 10) what a load at ``link`` adds to the base parameters, (p, k) directions in which it adds nothing, over
     their scales, and (p, p) the prior covariance of the base parameters."""

@@ -1,7 +1,10 @@
 """The rigid-body regressor against pinocchio's rnea and against iDynTree, and its sentences for bad descriptions."""
 
+import gc
+import pickle
 import re
 import time
+import weakref
 from dataclasses import replace
 
 import numpy as np
@@ -14,13 +17,14 @@ from semiparam_ros.core.robot.external_wrench import ExternalWrench
 from semiparam_ros.core.robot.frames import (
     force_maps,
     frame_motion,
+    load_transform,
     loaded_links,
     nearest_link,
     observed_links,
     unit_maps,
 )
 from semiparam_ros.core.robot.rigid_body import RigidBody
-from semiparam_ros.core.robot.size import reach_of, size_of
+from semiparam_ros.core.robot.size import arm_size, radians, reach_of, size_beyond, size_of
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online.desired_state import joint_torques
@@ -508,3 +512,19 @@ def test_spaces_about_a_number_and_the_length_of_an_axis_change_nothing(before, 
     assert before in ODD_ARM
     read_alike = read(ODD_ARM.replace(before, after))
     np.testing.assert_allclose(predicted(read_alike, state), predicted(read(), state), **EXACT)
+
+
+def test_what_is_remembered_of_a_robot_goes_with_it():
+    """A node's models each bring their own: caches that hold them would hold those of the latest hundreds."""
+    body = pickle.loads(pickle.dumps(RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, 'effort')))
+    last = list(loaded_links(body))[-1]
+    sizes = size_of(body), arm_size(body), reach_of(body), size_beyond(body, ODD_JOINTS[0])
+    assert load_transform(body, last) is load_transform(body, last)
+    assert radians(body) is radians(body)
+    force_maps(body, np.zeros(len(ODD_JOINTS)))
+    copy, there = pickle.loads(pickle.dumps(body)), weakref.ref(body)
+    assert sizes == (size_of(copy), arm_size(copy), reach_of(copy), size_beyond(copy, ODD_JOINTS[0]))
+    assert observed_links(copy) == observed_links(body)
+    del body
+    gc.collect()
+    assert there() is None

@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 
 from semiparam_ros.core.robot.arm_motion import FEW, ArmMotion, arm_motion
-from semiparam_ros.core.robot.rigid_body import RigidBody
+from semiparam_ros.core.robot.rigid_body import RigidBody, remembered
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError
@@ -71,7 +71,7 @@ def last_links(body: RigidBody) -> list[str]:
     return [link for link, number in loaded_links(body).items() if number + 1 not in parents]
 
 
-@lru_cache(maxsize=8)
+@remembered
 def observed_links(body: RigidBody) -> tuple[str, ...]:
     """Every link that the outputs feel, by name."""
     model = body.arm if body.distal is None else body.distal
@@ -90,7 +90,7 @@ def links_beside(body: RigidBody, link: str) -> list[str]:
     return [frame.name for frame in chosen[:MOST_LINKS]]
 
 
-@lru_cache(maxsize=8)
+@remembered
 def _loaded_points(body: RigidBody) -> tuple[tuple[int, ...], Array]:
     """Joints that move the places of :func:`force_maps`, and the places (P, 3) in their frames."""
     model = body.arm
@@ -197,7 +197,7 @@ def nearest_link(body: RigidBody, link: str, point: Array) -> tuple[str, Array]:
     return nearest, inside[nearest]
 
 
-@lru_cache(maxsize=64)
+@remembered
 def load_transform(body: RigidBody, link: str) -> tuple[int, Array]:
     """Number of the body that carries ``link``, and the (10, 10) map of inertial parameters from link to body, which
     is not to be written to."""

@@ -11,9 +11,10 @@ A mimic joint is a joint like any other: it stays where ``locked`` puts it.
 from __future__ import annotations
 
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Collection, Mapping, Sequence
-from functools import cached_property, lru_cache
+from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
+from functools import cached_property, lru_cache, wraps
 from math import ceil
+from typing import Concatenate, ParamSpec, TypeVar, cast
 
 import numpy as np
 import pinocchio as pin
@@ -42,6 +43,8 @@ MOST_PROBES, LEAST_ROWS, ROWS_EACH = 400, 5000, 4
 """Random states from which it is seen which parameters can be identified; as many as give so many
 rows, and so many for each parameter. More, of an arm of 60 joints, are seconds and gigabytes."""
 ROUNDING = 1e-12
+P = ParamSpec('P')
+T = TypeVar('T')
 
 
 def build(robot: ElementTree.Element, root: pin.JointModel | None = None) -> pin.Model:
@@ -169,14 +172,17 @@ class RigidBody:
         self._reduce_by(self.basis)
 
     def __getstate__(self) -> dict[str, object]:
-        """All but pinocchio's scratch memory, which is nine tenths of it and takes milliseconds to write as text."""
-        return {name: value for name, value in vars(self).items() if not name.endswith('_data')}
+        """All but pinocchio's scratch memory, which is nine tenths of it and takes milliseconds to write as text, and
+        what is :func:`remembered`."""
+        return {name: value for name, value in vars(self).items()
+                if not name.endswith('_data') and name != '_remembered'}
 
     def __setstate__(self, state: dict[str, object]) -> None:
         vars(self).update(state)
         self._make_data()
 
     def _make_data(self) -> None:
+        self._remembered: dict[Hashable, object] = {}
         self._arm_data = self.arm.createData()
         if self.distal is None:
             return
@@ -411,6 +417,18 @@ class RigidBody:
         _, singular, directions = np.linalg.svd(stacked * scale, full_matrices=False)
         rank = int(np.sum(singular > RANK_TOLERANCE * singular[0]))
         return _canonical(directions[:rank].T)
+
+
+def remembered(function: Callable[Concatenate[RigidBody, P], T]) -> Callable[Concatenate[RigidBody, P], T]:
+    """The function of a body and few names, each result kept with the body: it goes when the body goes, while an
+    ``lru_cache`` would keep the robots of models that were replaced long ago."""
+    @wraps(function)
+    def result(body: RigidBody, /, *names: P.args, **named: P.kwargs) -> T:
+        memory, key = body._remembered, (function, *names)
+        if key not in memory:
+            memory[key] = function(body, *names, **named)
+        return cast(T, memory[key])
+    return result
 
 
 def _as_slice(indices: Sequence[int]) -> slice | Indices:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from semiparam_ros.core.robot.rigid_body import GRAVITY, RigidBody
+from semiparam_ros.core.robot.rigid_body import GRAVITY, RigidBody, remembered
 from semiparam_ros.core.types import Array
 
 LEAST_MASS, LEAST_LENGTH = 0.5, 0.1
@@ -42,13 +42,13 @@ class Size(NamedTuple):
         return self.mass * float(np.linalg.norm(GRAVITY))
 
 
-@lru_cache(maxsize=16)
+@remembered
 def size_of(body: RigidBody) -> Size:
     """The size of the bodies that the outputs feel, as the robot description has them."""
     return _size(body.arm if body.distal is None else body.distal)
 
 
-@lru_cache(maxsize=16)
+@remembered
 def arm_size(body: RigidBody) -> Size:
     """The size of the whole arm, whatever of it the outputs feel: it says how much a wrist's sensor may carry."""
     return _size(body.arm)
@@ -66,20 +66,20 @@ def push_force(body: RigidBody) -> float:
     return float(np.clip(PUSH_N, LEAST_PUSH * weight, MOST_PUSH * weight))
 
 
-@lru_cache(maxsize=16)
+@remembered
 def reach_of(body: RigidBody) -> float:
     """[m] how long the whole arm is when stretched out, whatever of it the outputs feel."""
     return max(*(_way(body.arm, joint) for joint in range(1, body.arm.njoints)), LEAST_LENGTH)
 
 
-@lru_cache(maxsize=256)
+@remembered
 def size_beyond(body: RigidBody, joint: str) -> Size:
     """The size of what a joint carries, and ``LEAST_PART`` of the whole arm at least."""
     whole, part = size_of(body), _beyond(body.arm, body.arm.getJointId(joint))
     return Size(max(part.mass, LEAST_PART * whole.mass), max(part.length, LEAST_PART * whole.length))
 
 
-@lru_cache(maxsize=16)
+@remembered
 def radians(body: RigidBody) -> Array:
     """(n_joints,) what of each joint's unit is as much as a radian: where it slides, as far as the end of what it
     carries goes when that turns by one [m]."""
