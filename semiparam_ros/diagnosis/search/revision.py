@@ -79,6 +79,26 @@ def with_common_forms(fit: Fit, fixed: Collection[Place]) -> Fit:
     return fit
 
 
+def with_usual(fit: Fit, fixed: Collection[Place], kinds: dict[str, type[Effect]]) -> Fit:
+    """The model with what half of the joints have in place of a rarer cause, unless blocks tell the two apart by more
+    than their odds: a joint that goes one way shows no offset from its dry friction."""
+    common = list(dict.fromkeys(type(effect) for effect in fit.effects if usual(effect, fit)))
+    rare = [effect for effect in fit.effects if effect.where is not None and not effect.is_calibration
+            and identity(effect) not in fixed and not usual(effect, fit)]
+    for effect in rare:
+        rest = with_effects(fit, others(fit, effect))
+        for kind in common:
+            if (kind.kind, effect.where) in held(rest.effects) or effect.where not in kind.places(fit.body):
+                continue
+            trial = coarse_trial(rest, kind, effect.where)
+            if trial is not None:
+                after = bent(declare(rest, [trial.effect]), [identity(trial.effect)], kinds)
+                dearer = prices([effect], rest, kinds) - prices([trial.effect], rest, kinds)
+                if not gain(after, fit).exceeds(dearer, fit.config.sure) and all_plausible(fit, after):
+                    return pruned(after, fixed, kinds)
+    return fit
+
+
 def _losses(fit: Fit, effect: Effect, forms: Sequence[Values]) -> list[float]:
     """Losses (f,) of the model with the effect in each of some forms."""
     rest = with_effects(fit, others(fit, effect))

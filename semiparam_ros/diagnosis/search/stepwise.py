@@ -35,6 +35,7 @@ from semiparam_ros.diagnosis.search.revision import (
     revalued,
     split,
     with_common_forms,
+    with_usual,
 )
 from semiparam_ros.diagnosis.search.score import block_gains, gain
 from semiparam_ros.diagnosis.search.scoring import Progress, Trial, coarse, overlap, refine_foremost
@@ -125,8 +126,9 @@ def _next_step(fit: Fit, kinds: dict[str, type[Effect]], fixed: Collection[Place
     if (steps and len(steps[-1].added) > 1) or not any(move.good for move in moves):
         moves += moving_moves(fit, fixed, kinds)
     made = partial(_first_made, fit, ranking, fixed, kinds, steps, report)
-    return made(moves) or made(hidden_moves(fit, trials, fixed, kinds, report)) or (
-        None if steps else _revalued(fit, kinds, ranking))
+    return made(moves) or made(hidden_moves(fit, trials, fixed, kinds, report)) or \
+        _changed(fit, with_usual(fit, fixed, kinds), ranking) or (
+            None if steps else _revalued(fit, kinds, ranking))
 
 
 def _first_made(fit: Fit, ranking: Sequence[Trial], fixed: Collection[Place], kinds: Collection[str],
@@ -149,6 +151,15 @@ def _revalued(fit: Fit, kinds: Collection[str], ranking: Sequence[Trial]) -> Ste
     after, moved = revalued(fit, kinds)
     added = tuple(effect for effect in after.effects if identity(effect) in moved)
     return Step(added=added, rivals=(), ranking=tuple(ranking), before=fit, after=after) if added else None
+
+
+def _changed(fit: Fit, after: Fit, ranking: Sequence[Trial]) -> Step | None:
+    """The step to a model with other effects; None to the same model."""
+    before, names = ({identity(effect) for effect in each.effects} for each in (fit, after))
+    added = tuple(effect for effect in after.effects if identity(effect) not in before)
+    dropped = tuple(effect for effect in fit.effects if identity(effect) not in names)
+    return Step(added=added, rivals=(), ranking=tuple(ranking), before=fit, after=after, dropped=dropped) \
+        if added or dropped else None
 
 
 def _made(fit: Fit, best: Move, moves: Sequence[Move], ranking: Sequence[Trial], fixed: Collection[Place],
