@@ -35,7 +35,7 @@ class Pair:
     def __init__(self, folder, settings):
         self.nodes, self.clients, self.states = [], [], []
         self.answered, self.worst, self.memory = 0, dict.fromkeys(ANSWERS, 0.0), []
-        self.taken_over, self.window = 0, settings.initial_samples
+        self.window = settings.initial_samples
         with ExitStack() as opened:
             for name in ('fuzzed', 'spared'):
                 own = folder / name
@@ -55,23 +55,20 @@ class Pair:
     def compare(self, count):
         """Wait until both have answered so many samples in all; how far apart the answers are.
 
-        From the end of the initial window on each goes on with the rigid body until its own estimate is there, and the
-        two may take a different number of samples until then: those alone are not compared.
+        At the end of the initial window, until the variant has taken over in both: what watches for changes has learnt
+        with the model before until then, and would differ by how long that took.
         """
         for client, gaps in zip(self.clients, self.gaps, strict=True):
             client.wait(lambda heard=client.heard, gaps=gaps: gaps.look(
                 count, self.answered + len(heard['residual'])) or all(
                 self.answered + len(heard[topic]) >= count for topic in ANSWERS), f'{count} answers')
-        if not self.taken_over and count > self.window:
+        if count == self.window:
             for client in self.clients:
                 client.take_over()
-            self.taken_over = count
         for topic in ANSWERS:
             ours, theirs = (client.heard[topic] for client in self.clients)
             assert [stamp_of(message) for message in ours] == [stamp_of(message) for message in theirs]
             apart = np.subtract([values_of(message) for message in ours], [values_of(message) for message in theirs])
-            numbers = np.arange(self.answered, self.answered + len(apart))
-            apart = apart[(numbers < self.window) | (numbers >= self.taken_over)]
             self.worst[topic] = max(self.worst[topic], float(np.abs(apart).max(initial=0.0)))
         self.answered = count
         for client in self.clients:
@@ -87,9 +84,6 @@ class Pair:
         ours, theirs = (dict(np.load(path)) for path in self.states)
         assert ours.keys() == theirs.keys()
         metas = [json.loads(str(arrays.pop('meta'))) for arrays in (ours, theirs)]
-        for meta in metas:
-            for since_takeover in ('learnt', 'since_draft'):  # of which each has its own, see compare
-                del meta['renewal']['dict'][since_takeover]
         if metas[0] != metas[1]:
             return np.inf, metas
         apart = [np.abs(np.subtract(values, theirs[name], dtype=float)) for name, values in ours.items()]
@@ -149,7 +143,7 @@ def fuzz(folder, options):
                 publish(sample, JOINTS)
             spared.wrench(sample)
             invalid_requests.throw(index, sample)
-            if index % CHECK_EVERY == CHECK_EVERY - 1:
+            if index % CHECK_EVERY == CHECK_EVERY - 1 or index + 1 == options.window:
                 pair.compare(index + 1)
         took = time.monotonic() - start
         pair.compare(len(samples))
