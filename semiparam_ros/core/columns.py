@@ -14,7 +14,7 @@ from semiparam_ros.core.robot.joint_friction import (
     fill_friction,
     friction_columns,
     friction_prior,
-    friction_scale,
+    offset_prior,
 )
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.robot.size import base_scale, bias_scale
@@ -210,12 +210,12 @@ class CoupledColumns:
     @property
     def prior_scale(self) -> Array:
         """(p,) prior standard deviation of theta over gamma: 1 for inertial parameters unless
-        ``physical``, wide for the offset of a wrench, of the joint's size for friction and offset
-        of an effort."""
+        ``physical``, wide for the offset of a wrench, of the joint's size for friction, a share of that for the
+        offset of an effort."""
         rigid = base_scale(self.body) if self.physical else np.ones(self.body.n_parameters)
         joints = list[Array]()
         if self.has_friction:
-            joints = [friction_prior(self.body), friction_scale(self.body)]
+            joints = [friction_prior(self.body), offset_prior(self.body)]
         elif self.has_offset:
             joints = [bias_scale(self.body)]
         return np.concatenate([rigid, *joints, *self._effect_scales])

@@ -16,6 +16,7 @@ import numpy as np
 
 from semiparam_ros.core.columns import CoupledColumns
 from semiparam_ros.core.robot.frames import last_link, load_transform
+from semiparam_ros.core.robot.joint_friction import friction_scale
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.robot.size import base_scale
 from semiparam_ros.core.robot.small_turns import TILTS
@@ -55,7 +56,7 @@ def causes_of(columns: CoupledColumns) -> tuple[list[Cause], Array]:
     turns = slice(columns.n_own, columns.n_own + TILTS + len(body.joints))
     zeros = [ZeroSlip(joint).prior_scale(body) for joint in body.joints]
     turn_scale = np.concatenate([BaseShift().prior_scale(body), *zeros])
-    own = np.diag(np.append(columns.prior_scale[: columns.n_own], turn_scale))
+    own = np.diag(np.append(_change_scale(columns), turn_scale))
     causes, parts = list[Cause](), list[Array]()
     rigid, offset, friction = (blocks[name] for name in ('rigid_body', 'offset', 'friction'))
     own[rigid, rigid] = np.diag(base_scale(body))
@@ -100,10 +101,18 @@ def load_directions(columns: CoupledColumns) -> Array:
 
 
 def friction_directions(columns: CoupledColumns) -> Array:
-    """(q, k) the coefficients of friction and offsets, in units of their prior."""
+    """(q, k) the coefficients of friction and offsets, in units of what they may change by."""
     chosen = np.ones(columns.n_own, dtype=bool)
     chosen[columns.blocks['rigid_body']] = False
-    return np.diag(columns.prior_scale[: columns.n_own])[:, chosen]
+    return np.diag(_change_scale(columns))[:, chosen]
+
+
+def _change_scale(columns: CoupledColumns) -> Array:
+    """(q,) what coefficients may change by: as their prior, but a zero that jumps does so as far as friction."""
+    scale = columns.prior_scale[: columns.n_own]
+    if columns.has_friction:
+        scale[columns.blocks['offset']] = friction_scale(columns.body)
+    return scale
 
 
 def load_scale(body: RigidBody, link: str) -> Array:

@@ -26,6 +26,9 @@ TURN_SPEEDS = np.array([0.005, 0.03])
 """[rad/s, m/s] v_s. Measured arms turn over within 0.3 to 3 % of their top speed."""
 SHARE_OF_LIMIT = 0.2
 """Of the largest effort that a joint may give, what its friction may be."""
+OFFSET_SHARE = 0.1
+"""Of friction, what an offset may be. Where a joint goes one way no sample tells the two apart, and gears rub more than
+zeros of sensors err."""
 TOP_SPEED = 3.0
 """[rad/s] at which viscous friction is as large as that; arms move as fast at most, and are learnt far slower. A
 joint that slides is as fast where what it carries, stretched out, would be at its end."""
@@ -51,7 +54,7 @@ def friction_columns(body: RigidBody, velocity: Array) -> Array:
 
 
 def friction_scale(body: RigidBody) -> Array:
-    """(n,) [N m, N] what friction and offset of each output may be: a share of the torque that holds what the joint
+    """(n,) [N m, N] what the friction of each output may be: a share of the torque that holds what the joint
     carries stretched out (of its weight where the joint slides), or of the largest effort that the robot description
     permits, whichever is larger."""
     limits = np.where(np.isfinite(body.effort_limits), body.effort_limits, 0.0)
@@ -63,6 +66,11 @@ def friction_prior(body: RigidBody) -> Array:
     scale = friction_scale(body)
     top_speeds = TOP_SPEED * radians(body)[body.output_index]
     return np.concatenate([scale / top_speeds, np.tile(scale, len(TURN_SPEEDS))])
+
+
+def offset_prior(body: RigidBody) -> Array:
+    """(n,) [N m, N] prior standard deviations of the offsets."""
+    return OFFSET_SHARE * friction_scale(body)
 
 
 @compiled
