@@ -246,8 +246,12 @@ def _interpolated(past: _Past, wanted: Stamps, newest: Stamps, centred: bool) ->
     ahead = np.asarray((wanted - past.stamps[left])[:, None] * 1e-9, dtype=float)
     position = _hermite(past.position, past.velocity, left, right, step, ahead / step)
     velocity = _hermite(past.velocity, past.acceleration, left, right, step, ahead / step)
-    acceleration = _centred(past, wanted) if centred else _parabola(past.acceleration, past.stamps, left, right, ahead)
-    far = newest == 0 if centred else (newest == 0) | ((ahead > 2.0 * step) | (ahead < -step))[:, 0]
+    far = (newest == 0) | ((ahead > 2.0 * step) | (ahead < -step))[:, 0]
+    if centred:
+        acceleration = np.empty_like(position)
+        acceleration[~far] = _centred(past, wanted[~far])
+    else:
+        acceleration = _parabola(past.acceleration, past.stamps, left, right, ahead)
     if far.any():
         near = np.where(ahead[:, 0] > 0.0, right, left)[far]
         after = (wanted[far] - past.stamps[near])[:, None] * 1e-9

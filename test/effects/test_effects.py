@@ -974,3 +974,17 @@ def test_rotors_of_a_toy_are_found_that_resist_for_many_times_its_links():
     effects = [effect_from_text(f'rotor_inertia@{joint}') for joint in joints]
     found = from_recording(toy, effects, replace(moved, outputs=outputs), True, False, 'it')
     np.testing.assert_allclose(found.mean[-2:], rotor, rtol=0.1)
+
+
+@pytest.mark.parametrize('delay_s', [-6.45, 6.45])
+def test_long_before_and_after_a_whole_recording_the_nearest_sample_tells_the_motion(delay_s):
+    """A step of a search led there, and a regression on samples that were all as far away had no solution."""
+    time, still = np.arange(1500) * 0.02, np.zeros((1500, 4))
+    moving = np.tile(np.sin(time)[:, None], 4)
+    samples = Samples((time * 1e9).astype(np.int64), moving, still, moving, still, 0, whole=True)
+    _, delayed, _ = kinds()['time_delay'](None, {'delay_s': delay_s}).correct(BODIES['effort'], samples, None)
+    nearest = np.sin(time[0 if delay_s > 0.0 else -1])
+    beyond = (time < 6.4) if delay_s > 0.0 else (time > time[-1] - 6.4)
+    np.testing.assert_allclose(delayed.acceleration[beyond], nearest, atol=1e-12)
+    np.testing.assert_allclose(delayed.acceleration[~beyond][10:-10, 0], np.sin(time - delay_s)[~beyond][10:-10],
+                               atol=1e-4)
