@@ -9,6 +9,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from semiparam_ros.core.signals.rests import LEAST_S, SPEED_SHARE
+
 
 @dataclass(frozen=True)
 class DiagnosisConfig:
@@ -52,12 +54,12 @@ class DiagnosisConfig:
     """Refuses recordings with fewer working samples in use: these cannot tell one cause from another (chosen)."""
     faster: tuple[int, ...] = (2, 4, 8)
     """Recommends one of so many times the rate (chosen)."""
-    rest_speed_share: float = 0.01
+    rest_speed_share: float = SPEED_SHARE
     """Calls a joint resting below this share of its highest speed: static friction then holds any effort (chosen)."""
     sliding_s: float = 0.05
     """Calls a joint sliding when it is not slow within this time [s]: the longest lead of a friction
     (chosen)."""
-    rest_s: float = 0.1
+    rest_s: float = LEAST_S
     """Asks of a rest that it lasts so long [s]: a joint that turns back is faster before and after. Joints that stick
     where they turn back, for 0.07 s and more, bent friction and rotors beyond two deviations with 0.2 (measured)."""
 

@@ -18,10 +18,11 @@ import numpy as np
 from semiparam_ros.core.hyperparameters.window import residual_scale
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples, at_middle
+from semiparam_ros.core.signals.rests import typical_step
 from semiparam_ros.core.signals.smoothing import acceleration_errors, smoothed, smoothed_again
 from semiparam_ros.core.types import Array, Mask
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
-from semiparam_ros.diagnosis.data.outliers import counted_outputs, excluded, typical_step, working_factor
+from semiparam_ros.diagnosis.data.outliers import counted_outputs, excluded, working_factor
 from semiparam_ros.diagnosis.data.splits import block_sums
 from semiparam_ros.diagnosis.regression import Fit, fit_model, refit_weights
 from semiparam_ros.diagnosis.residual.noise import inertia_columns

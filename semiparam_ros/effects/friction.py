@@ -315,4 +315,5 @@ class LoadFriction(_Sliding):
 
 
 def _way(samples: Samples, joint: int) -> Way:
-    return Way(samples.stamps, samples.position[:, joint], samples.velocity[:, joint])
+    way = Way(samples.stamps, samples.position[:, joint], samples.velocity[:, joint])
+    return way.without_noise_at_rest(samples.time) if samples.whole else way

@@ -9,6 +9,7 @@ import numpy as np
 
 from semiparam_ros.core.columns import Memory
 from semiparam_ros.core.compiled import Integers, Matrix, Vector, compiled
+from semiparam_ros.core.signals.rests import LEAST_S, SPEED_SHARE, still
 from semiparam_ros.core.types import Array, Stamps
 
 MOST_APART = 0.1
@@ -98,6 +99,25 @@ class Way(NamedTuple):
         begin = cast('tuple[int, float, float]', past) if past is not None else self._sample(0)
         stamps, position, velocity = np.array(self.stamps), np.array(self.position), np.array(self.velocity)
         return *_followed(stamps, position, velocity, *begin), self._sample(-1)
+
+    def without_noise_at_rest(self, time: Array) -> Way:
+        """The way on which, in each rest, the joint goes only as far as positions leave the range of their noise.
+
+        The steps of noise add up to the length of a bristle within seconds, though the joint stays where it is. In the
+        middle half of a rest what is left of the motion before and after is least, so the range there is noise, unless
+        it is more than a rest allows: then the joint creeps.
+        """
+        position, velocity = self.position.copy(), self.velocity.copy()
+        most = SPEED_SHARE * LEAST_S * np.abs(velocity).max(initial=0.0)
+        edges = np.diff(still(time, position, velocity).astype(int), prepend=0, append=0)
+        for start, end in zip(np.flatnonzero(edges == 1), np.flatnonzero(edges == -1), strict=True):
+            rest, quarter = position[start:end], (end - start) // 4
+            gap = float(np.ptp(rest[quarter:len(rest) - quarter]))
+            if 0.0 < gap < most:
+                steps = np.diff(rest, prepend=rest[0])
+                rest -= 0.5 * gap * _follow_play(2.0 / gap * steps, 0.0)
+                velocity[start:end][np.diff(rest, prepend=rest[0]) == 0.0] = 0.0
+        return Way(self.stamps, position, velocity)
 
     def _sample(self, index: int) -> tuple[int, float, float]:
         return int(self.stamps[index]), float(self.position[index]), float(self.velocity[index])

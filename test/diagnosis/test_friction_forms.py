@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from semiparam_ros.core.robot.rigid_body import RigidBody
+from semiparam_ros.core.samples import Samples
 from semiparam_ros.diagnosis.diagnose import diagnose
 from semiparam_ros.diagnosis.preparation import averaged
 from semiparam_ros.diagnosis.residual.contacts import contacts
@@ -19,6 +20,7 @@ from semiparam_ros.effects import kinds
 from semiparam_ros.effects.drive import EffortOffset
 from semiparam_ros.effects.friction import CoulombFriction, ViscousFriction
 from semiparam_ros.effects.geometry import TimeDelay
+from semiparam_ros.effects.hysteresis import Way
 from support.arms import ODD_BODY, ODD_JOINTS, as_recorded, joint, link, noisy, smooth_motion
 
 BODY = ODD_BODY
@@ -269,3 +271,30 @@ def test_friction_and_rotors_that_hide_each_other_are_tried_together_without_ano
     assert move.good
     assert {(effect.kind, effect.where) for effect in move.added} == {
         ('viscous_friction', 'elbow'), ('rotor_inertia', 'elbow')}
+
+
+def test_a_bristle_stays_bent_while_its_joint_rests():
+    """Noise of encoders went the length of a bristle within seconds: what it lacked when the joint moved on was told as
+    a delay, and as offsets that began and ended with rests."""
+    time = np.arange(1600) * 0.02
+    path = 0.3 * np.clip(time - 1.0, 0.0, 1.0) ** 2 * (3.0 - 2.0 * np.clip(time - 1.0, 0.0, 1.0))
+    path += 0.3 * np.clip(time - 30.0, 0.0, 1.0) ** 2
+    still, noise = np.zeros((1600, 4)), 2e-5 * np.random.default_rng(0).standard_normal(1600)
+    stamps = (time * 1e9).astype(np.int64)
+    friction = CoulombFriction('turn', {'presliding': 0.002})
+    exact, noisy_one = (friction.basis(BODY, Samples(
+        stamps, *(np.tile(values[:, None], 4) for values in (position, np.gradient(position, time))), still, still, 0,
+        whole=True), None)[0][:, 1, 0] for position in (path, path + noise))
+    moves = (time > 1.1) & (time < 1.9) | (time > 29.9)
+    assert exact[time > 29.9].min() > 0.99
+    assert np.abs(noisy_one - exact)[moves].max() < 0.05
+    assert noisy_one[(time > 29.0) & (time < 30.0)].min() > 0.95
+
+
+def test_slow_ways_in_a_rest_are_followed():
+    """One that goes on beyond the bounds of a rest is no noise."""
+    time = np.arange(3000) * 0.02
+    path = np.where(time < 10.0, np.sin(2.0 * time), np.sin(20.0)) + 0.02 * np.sin(0.5 * (time - 10.0)) * (time > 10.0)
+    way = Way((time * 1e9).astype(np.int64), path, np.gradient(path, time)).without_noise_at_rest(time)
+    assert np.abs(way.position - path).max() < 1e-3
+    assert np.ptp(way.position[time > 11.0]) > 0.9 * np.ptp(path[time > 11.0])

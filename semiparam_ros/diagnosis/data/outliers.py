@@ -20,6 +20,7 @@ from scipy.ndimage import binary_dilation, maximum_filter1d, minimum_filter1d
 
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
+from semiparam_ros.core.signals.rests import still, typical_step, window_size
 from semiparam_ros.core.types import Array, Mask
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
 
@@ -44,13 +45,6 @@ def gaps(samples: Samples, config: DiagnosisConfig = DEFAULTS) -> list[Gap]:
     return [Gap(int(at), float(time[at]), float(steps[at]))
             for at in np.flatnonzero(steps > config.gap_steps * typical_step(time))
             if samples.stamps[at + 1] not in samples.breaks]
-
-
-def typical_step(time: Array) -> float:
-    """Median time between samples [s], those with the same stamp aside."""
-    steps = np.diff(time)
-    forward = steps[steps > 0.0]
-    return float(np.median(forward)) if len(forward) else 1e-9
 
 
 def working_factor(samples: Samples, config: DiagnosisConfig = DEFAULTS) -> int:
@@ -114,17 +108,9 @@ def _around(time: Array, hit: Mask, margin_s: float) -> Mask:
 
 
 def resting(samples: Samples, config: DiagnosisConfig = DEFAULTS) -> Mask:
-    """(N, n_joints) true where a joint stays where it is for ``config.rest_s``.
-
-    Looks at positions, for the noise of recorded velocities hides a rest. A joint that turns back moves on both sides.
-    """
-    step = typical_step(samples.time)
-    size = 2 * max(round(0.5 * config.rest_s / step), 1) + 1
-    window = (size - 1) * step
-    position = samples.position
-    travel = maximum_filter1d(position, size, axis=0) - minimum_filter1d(position, size, axis=0)
-    still = travel < config.rest_speed_share * np.abs(samples.velocity).max(axis=0) * window
-    return np.asarray(binary_dilation(still, np.ones((size, 1))))
+    """(N, n_joints) true where a joint stays where it is for ``config.rest_s``."""
+    middle = still(samples.time, samples.position, samples.velocity, config.rest_speed_share, config.rest_s)
+    return np.asarray(binary_dilation(middle, np.ones((window_size(samples.time, config.rest_s), 1))))
 
 
 def sliding(samples: Samples, config: DiagnosisConfig = DEFAULTS) -> Mask:
