@@ -25,9 +25,10 @@ from scipy.linalg import solve_toeplitz
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.signals.correlation import autocovariance
+from semiparam_ros.core.signals.rests import typical_step
 from semiparam_ros.core.types import Array, Mask
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
-from semiparam_ros.diagnosis.data.outliers import gaps, typical_step
+from semiparam_ros.diagnosis.data.outliers import gaps
 from semiparam_ros.diagnosis.regression import Fit, refit_weights, refitted
 
 WHITENING = 1e-9

@@ -23,9 +23,10 @@ from scipy.optimize import linear_sum_assignment
 from semiparam_ros.core.columns import CoupledColumns, Memories
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
+from semiparam_ros.core.signals.rests import typical_step
 from semiparam_ros.core.types import Array, Mask, Stamps
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
-from semiparam_ros.diagnosis.data.outliers import typical_step, untouched, working_factor
+from semiparam_ros.diagnosis.data.outliers import untouched, working_factor
 from semiparam_ros.diagnosis.data.splits import evenly
 from semiparam_ros.diagnosis.preparation import Inputs
 from semiparam_ros.diagnosis.setup.prior_misfit import (
