@@ -44,7 +44,8 @@ The model predicts with the coefficients that it had eight seconds of motion ago
 change within a few; and, as long as anything stands out, with those from before. A change that was
 told is followed: its coefficients, from all quarters since it began, are taken off, so that the
 next change stands out in turn. It is over since a block where its evidence until there is larger,
-by ``SURE`` nat, than until now.
+by ``SURE`` nat, than until now; unless another cause, since it began, is likelier than both it and
+its end, which is as rare: then it is told anew as that.
 """
 
 from __future__ import annotations
@@ -68,6 +69,7 @@ from semiparam_ros.core.types import Array, Indices
 from semiparam_ros.effects.loads import Payload
 from semiparam_ros.online.change_causes import (
     LEARNING,
+    Cause,
     CauseFit,
     Judged,
     causes_of,
@@ -234,23 +236,53 @@ def _beside(fits: Sequence[CauseFit], alone: Array, rival: Array, counts: Indice
     return found
 
 
+class End(NamedTuple):
+    """End of a change: since when [ns] it is over, by which log evidence of it until then, under noise kappa (1,)."""
+
+    since: int
+    evidence: float
+    kappa: Array
+
+
 class Followed:
     """A change that was told, with the sums of all blocks since it began but the first, which has a
-    part of it: its coefficients, in units of their prior."""
+    part of it: its coefficients, in units of their prior.
 
-    def __init__(self, change: Change, judged: Judged, blocks: Sequence[MotionBlock]) -> None:
+    :param size: K, directions of all causes.
+    """
+
+    def __init__(self, change: Change, judged: Judged, blocks: Sequence[MotionBlock], size: int) -> None:
         self.change, self.cause, self.blocks = change, judged.cause, 0
         self.theta = judged.theta
         self._latest = deque([judged.theta], maxlen=SETTLED)
-        self._gram, self._moment = np.zeros((len(self.theta),) * 2), np.zeros(len(self.theta))
+        self._grams, self._moments = np.zeros((size, size)), np.zeros(size)
         for block in blocks[1:]:
             self._sum(block)
 
     def _sum(self, block: MotionBlock) -> None:
-        part = self.cause.part
-        self._gram += block.gram[part, part]
-        self._moment += block.moment[part]
+        self._grams = self._grams + block.gram
+        self._moments = self._moments + block.moment
         self.blocks += 1
+
+    @property
+    def _gram(self) -> Array:
+        part = self.cause.part
+        return np.asarray(self._grams[part, part])
+
+    @property
+    def _moment(self) -> Array:
+        return np.asarray(self._moments[self.cause.part])
+
+    def fit(self, cause: Cause) -> CauseFit:
+        """Fit with which another cause explains all blocks since it began."""
+        part = cause.part
+        return CauseFit.of(cause, self._grams[None, part, part], self._moments[None, part])
+
+    def told_anew(self, change: Change, cause: Cause) -> None:
+        """It was another cause, since then."""
+        self.change, self.cause = change, cause
+        self.theta = np.asarray(np.linalg.solve(_with_prior(self._gram), self._moment), dtype=float)
+        self._latest = deque([self.theta], maxlen=SETTLED)
 
     def add(self, block: MotionBlock) -> None:
         """One more; the newest ones are left to say whether it goes on."""
@@ -543,9 +575,12 @@ class ChangeDetector:
         if followed is not None:
             followed.add(block)
             if (ended := self._end(followed)) is not None:
+                if (rather := self._rather(followed, ended)) is not None:
+                    followed.told_anew(self._anew(followed, rather, stamp), rather)
+                    return followed.change
                 self.followed, self._standing, self._compared = None, 0, np.zeros(3)
                 self._blocks.clear()
-                return followed.change._replace(noticed=stamp, ended=ended)
+                return followed.change._replace(noticed=stamp, ended=ended.since)
         ratios = self._outstanding(self._left(self.followed))
         outstanding = max(ratios, default=0.0)
         latest = max(ratios[:RELEASED], default=0.0)
@@ -831,8 +866,8 @@ class ChangeDetector:
         acting = self._contact(after, np.array([kappa]), ends)
         return known <= float(_contacts(acting, acting[:, -1], np.array([0]), ends)[0])
 
-    def _end(self, followed: Followed) -> int | None:
-        """Since when [ns] the change that is followed is over; None while it is there."""
+    def _end(self, followed: Followed) -> End | None:
+        """Since when the change that is followed is over; None while it is there."""
         latest = list(self._blocks)[-LENGTHS[0] :]
         gram, moment = (
             np.sum([getattr(block, name) for block in latest], axis=0)
@@ -860,7 +895,31 @@ class ChangeDetector:
         )
         gains = until - whole
         at = int(gains.argmax())
-        return since[at].start if gains[at] > SURE else None
+        if gains[at] <= SURE:
+            return None
+        return End(since[at].start, float(until[at]), kappa[at : at + 1])
+
+    def _rather(self, followed: Followed, end: End) -> Cause | None:
+        """The cause of a known kind by which all that came since a change began is likelier than by that change and its
+        end; None for none.
+
+        A load is put down at any time, and what is of no known kind lets go. The rest is over as rarely as it comes:
+        friction may pass for an offset as long as its joint goes one way.
+        """
+        if not followed.cause.kind:
+            return None
+        rivals = [cause for cause in self.causes if cause.kind and cause != followed.cause]
+        found = [float(followed.fit(cause).evidence(end.kappa)[0]) - cause.price for cause in rivals]
+        best = int(np.argmax(found))
+        return rivals[best] if found[best] > end.evidence - 2.0 * followed.cause.price else None
+
+    def _anew(self, followed: Followed, cause: Cause, stamp: int) -> Change:
+        """The change that is followed, told as one of another cause."""
+        evidence = float(followed.fit(cause).evidence(np.array([self.innovation_noise]))[0]) - cause.price
+        return followed.change._replace(
+            noticed=stamp, kind=cause.kind, where=cause.where, value=np.nan, std=np.nan, evidence=evidence
+        )
+
 
     def _change(self, stamp: int, judged: Judged) -> Change:
         blocks = list(self._blocks)[-judged.blocks :]
@@ -899,7 +958,7 @@ class ChangeDetector:
             self._known_turns += known[self._n_own :]
             self._blocks.clear()
             blocks = []
-        self.touched, self.followed = False, Followed(change, judged, blocks)
+        self.touched, self.followed = False, Followed(change, judged, blocks, self._directions.shape[1])
         self._compared = np.zeros(3)
         return change
 

@@ -19,7 +19,8 @@ from semiparam_ros.online.changes import JUDGED_ANEW, LENGTHS, USUAL, ChangeDete
 from semiparam_ros.online.diagnosis_jobs import diagnose
 from semiparam_ros.online.history import batch_of
 from semiparam_ros.online.wandering_contact import WANDERS, contact_scale, wandering
-from support.arms import ODD_BODY, ODD_JOINTS, smooth_motion
+from semiparam_ros.settings.build import build_rigid_body
+from support.arms import ODD_BODY, ODD_JOINTS, noisy, smooth_motion
 from support.changing_arm import (
     CALM,
     LOADED_S,
@@ -33,6 +34,9 @@ from support.changing_arm import (
     pushed,
     turned,
 )
+from support.learner_stage import Stage
+from support.node_helpers import SETTINGS as ARM
+from support.node_helpers import InlineBackground
 
 
 def told(body, samples):
@@ -419,3 +423,38 @@ def test_a_declared_load_that_was_put_down_ends_and_is_no_second_force():
     assert (found.effect.kind, found.effect.where) == ('payload', 'r_gripper')
     assert found.effect.start_s == pytest.approx(LOADED_S[0], abs=0.2)
     assert found.effect.end_s == pytest.approx(LOADED_S[1], abs=0.2)
+
+
+def test_friction_that_passed_for_an_offset_is_not_over_when_its_joint_turns():
+    """The offset of a joint that had gone one way was over as soon as a contact is: the robot had not changed."""
+    body, samples = rubbing_from(22.0)
+    settings = replace(ARM, outputs='effort', sensor_frame='', variant='P', initial_samples=120)
+    stage = Stage(settings, background=InlineBackground(), body=body)
+    stage.offer(samples[samples.time < 22.0])
+    detector = stage.learner.changes.detector
+    causes = detector.causes
+    detector.causes = [cause._replace(price=-60.0) if cause.kind == 'effort_offset' else cause for cause in causes]
+    stage.offer(samples[(samples.time >= 22.0) & (samples.time < 27.0)])
+    followed = detector.followed
+    assert (followed.change.kind, followed.change.where) == ('effort_offset', 'a')
+    detector.causes, followed.cause = causes, causes[detector.causes.index(followed.cause)]
+    stage.offer(samples[samples.time >= 27.0])
+    assert not stage.failures
+    (record,) = stage.learner.changes.records.values()
+    assert (record.change.kind, record.change.where, record.change.ended) == ('friction', 'a', None)
+    assert record.change == detector.followed.change and not record.retracted
+
+
+def rubbing_from(start):
+    """The body of two joints, and samples of which from a time [s] on the first joint rubs, and turns every 6 s."""
+    motion = smooth_motion(2, 1000, 30.0, seed=3, speed=0.6)
+    late, phase = motion.time >= start, np.pi / 6.0 * (motion.time - start)
+    rows = {name: getattr(motion, name).copy() for name in ('position', 'velocity', 'acceleration')}
+    waves = 1.0 - np.cos(phase), np.sin(phase), np.cos(phase)
+    for order, (values, wave) in enumerate(zip(rows.values(), waves, strict=True)):
+        values[late, 0] = (0.8 * (np.pi / 6.0) ** order * wave)[late] + (values[late, 0][0] if order == 0 else 0.0)
+    motion = replace(motion, **rows)
+    body = build_rigid_body(replace(ARM, outputs='effort', sensor_frame=''))
+    outputs = body.regressors(motion) @ (1.2 * body.base_parameters) + 0.1 * np.tanh(motion.velocity / 0.01)
+    outputs[:, 0] += 0.4 * late * np.tanh(motion.velocity[:, 0] / 0.01)
+    return body, replace(motion, outputs=noisy(outputs))
