@@ -667,10 +667,6 @@ class ChangeWatch:
         touched = change.touched or change.since
         batch = history.around(touched, BEFORE_S)
         batch = batch.part(int(np.searchsorted(batch.stamps, self._first or 0)))
-        if (until := self._next_began(change)) is not None:
-            batch = batch.part(0, int(np.searchsorted(batch.stamps, until)))
-            if change.ended is None:
-                self._name_no_more(number)  # nothing more comes that tells of it
         others = [
             other.effect
             for key, other in self.records.items()
@@ -691,14 +687,6 @@ class ChangeWatch:
             done=partial(self._named, number, asked=change.ended),
             urgency=Urgency.ASKED,
         )
-
-    def _next_began(self, change: Change) -> int | None:
-        """When [ns] the next change began, after which nothing tells of this one; None where that leaves too little to
-        name it from, or where this one was there yet."""
-        begun = [each.change.touched or each.change.since for key, each in self.records.items() if key > change.number]
-        enough = (change.touched or change.since) + round(NAMED_AFTER_S[0] * NANOSECONDS)
-        until = min((stamp for stamp in begun if stamp >= enough), default=None)
-        return until if until is None or change.ended is None or change.ended <= until else None
 
     def _named(
         self,

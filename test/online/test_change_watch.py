@@ -589,25 +589,6 @@ def test_a_load_that_was_there_too_briefly_to_be_named_is_over_for_the_next_one(
     assert abs(last.named.parameters['mass'].value - 0.5 * mass) < 0.05 * mass
 
 
-@pytest.mark.parametrize(('seconds', 'ended', 'whole'), [(8.0, None, False), (3.0, None, True), (8.0, 7.0, False),
-                                                          (8.0, 9.0, True)])
-def test_a_change_is_named_from_nothing_that_came_after_the_next_one(seconds, ended, whole, monkeypatch):
-    """Friction that was named five times had not come after all, by its last naming: it was gone again meanwhile."""
-    stage, asked = begun(14.0), []
-    watch, record = stage.learner.changes, stage.changes[-1]
-    number, since = record.change.number, record.change.since
-    begun_next = since + round(seconds * 1e9)
-    over = None if ended is None else since + round(ended * 1e9)
-    watch.records[number] = replace(record, change=record.change._replace(ended=over))
-    watch.records[number + 1] = ChangeRecord(record.change._replace(number=number + 1, since=begun_next, touched=0))
-    monkeypatch.setattr(change_watch.diagnosis_jobs, 'name_change', lambda body, batch, *_: asked.append(batch))
-    watch._name(number, stage.learner.history, ())
-    assert (asked[0].stamps[-1] > begun_next) == whole
-    assert any(due == number for _, due in watch._due) == (whole or ended is not None), 'nothing more comes'
-    watch._name(number + 1, stage.learner.history, ())
-    assert asked[1].stamps[-1] == stage.learner.history.batch().stamps[-1]
-
-
 def test_a_change_from_before_a_jump_of_the_clock_is_not_named_from_what_comes_after(monkeypatch):
     """Seconds of motion count, and what is due after so many would look for it in another time."""
     _, samples, _ = loaded()
