@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import lru_cache
 from typing import Any, ClassVar
 
 import numpy as np
@@ -315,5 +316,14 @@ class LoadFriction(_Sliding):
 
 
 def _way(samples: Samples, joint: int) -> Way:
-    way = Way(samples.stamps, samples.position[:, joint], samples.velocity[:, joint])
-    return way.without_noise_at_rest(samples.time) if samples.whole else way
+    return _of_recording(samples, joint) if samples.whole else _as_recorded(samples, joint)
+
+
+def _as_recorded(samples: Samples, joint: int) -> Way:
+    return Way(samples.stamps, samples.position[:, joint], samples.velocity[:, joint])
+
+
+@lru_cache(maxsize=32)
+def _of_recording(samples: Samples, joint: int) -> Way:
+    """The latest ones are remembered: a search asks for the same with each length of a bristle."""
+    return _as_recorded(samples, joint).without_noise_at_rest(samples.time)

@@ -920,7 +920,6 @@ class ChangeDetector:
             noticed=stamp, kind=cause.kind, where=cause.where, value=np.nan, std=np.nan, evidence=evidence
         )
 
-
     def _change(self, stamp: int, judged: Judged) -> Change:
         blocks = list(self._blocks)[-judged.blocks :]
         felt = np.sum(

@@ -147,9 +147,11 @@ def test_a_joint_that_goes_one_way_rubs_as_the_others_do():
     assert error < 0.02 < 1.0 < before
 
 
-def test_an_offset_stays_where_motion_both_ways_tells_it_from_friction():
+@pytest.mark.parametrize('rubs', [1.0, 0.8])
+def test_an_offset_stays_where_motion_both_ways_tells_it_from_friction(rubs):
+    """Beside a joint that does not rub, and beside one that rubs a fifth of what the others do."""
     samples = rubbing()
-    own = 3.0 * (1.0 - np.tanh(samples.velocity[:, 1] / TURN))
+    own = 3.0 * (1.0 - rubs * np.tanh(samples.velocity[:, 1] / TURN))
     start = with_an_offset(replace(samples, outputs=samples.outputs + np.outer(own, np.arange(4) == 1)), EVERYTHING)
     assert with_usual(start, (), KINDS) is start
 

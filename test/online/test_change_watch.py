@@ -184,6 +184,17 @@ def test_what_was_told_alone_is_in_doubt(kind, outputs):
         assert np.linalg.matrix_rank(found) < columns.n_own
 
 
+def test_an_offset_may_change_by_as_much_as_dry_friction():
+    """Its prior is a tenth of that, for where no change is told a joint that goes one way rubs."""
+    columns = CoupledColumns(ODD_BODY, joint_friction=True)
+    causes, directions = causes_of(columns)
+    offsets, rubbing = ([directions[:, cause.part] for cause in causes if cause.kind == kind]
+                        for kind in ('effort_offset', 'friction'))
+    np.testing.assert_allclose([part.max() for part in offsets], [part[:, -1].max() for part in rubbing])
+    np.testing.assert_allclose(directions_of(learning_after('effort_offset'), columns).max(), max(
+        part.max() for part in offsets))
+
+
 @pytest.mark.long
 def test_a_load_that_comes_again_ends_no_earlier_change():
     """The model with it returned, and a cable that still held the arm was told as over."""

@@ -424,7 +424,7 @@ def remembered(function: Callable[Concatenate[RigidBody, P], T]) -> Callable[Con
     ``lru_cache`` would keep the robots of models that were replaced long ago."""
     @wraps(function)
     def result(body: RigidBody, /, *names: P.args, **named: P.kwargs) -> T:
-        memory, key = body._remembered, (function, *names)
+        memory, key = body._remembered, (function, *names, *named.items())
         if key not in memory:
             memory[key] = function(body, *names, **named)
         return cast(T, memory[key])
