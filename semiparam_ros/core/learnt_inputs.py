@@ -27,6 +27,8 @@ from semiparam_ros.core.samples import Sample
 from semiparam_ros.core.types import Array, Stamps
 from semiparam_ros.errors import SemiparamError
 
+LARGEST_DISTANCE = 1.0
+"""A state further from what was learnt, taken together, than any input learnt itself is unlike all of them."""
 ROOM = 512
 LEAST_VARIANCE = 0.01
 """Of an input's own variance, what is added in every direction: noise of the inputs."""

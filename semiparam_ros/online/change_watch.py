@@ -439,7 +439,7 @@ class ChangeWatch:
             self.forget()
             return
         detector = self._detector_of(estimator.columns)
-        change = detector.see(*self._as_told(*part), self.applied.added, self.applied.spread)
+        change = detector.see(*self._as_told(*part), self.applied.added, self.applied.spread, estimator.kept.distance)
         self._now = prediction.sample.stamp
         block = detector.finished
         self._moved_s += BLOCK_S * (block is not None)
@@ -462,6 +462,8 @@ class ChangeWatch:
             self._hold(detector, change is not None)
             self.begins_to_hold = self.holds and (self.begins_to_hold or not held)
             self._assume(detector)
+        elif block is not None:  # it learns anew what is usual, so what stood out is learnt
+            self.holds = False
         if self._due and not self._naming and self._moved_s >= self._due[0][0]:
             self._name(self._due.pop(0)[1], history, estimator.columns.effects)
 

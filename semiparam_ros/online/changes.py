@@ -34,7 +34,9 @@ noise kappa S^2. kappa is the usual mean square, and grows with what the best hy
                covariance that white noise would leave of theta
 
 kappa is large where noise is, and where the first windows were predicted badly: then P is not.
-Where learning is likeliest, the model goes on as it stands. A change is told once it has ``SURE``
+No rigid body is exactly true: how wrong it is elsewhere, white noise does not tell. So of blocks of motion unlike all
+that was learnt theta ~ N(0, c kappa P) is as likely, with any c from 1 to 10^5. Where learning is likeliest, the model
+goes on as it stands, and learns anew what is usual where that was of such blocks. A change is told once it has ``SURE``
 nat more than all others, those of other causes for six seconds too. What acts as a contact does, but
 for longer, is a change of no known kind: a cable that has caught. A change may have begun at any of
 the last 32 blocks. The price is minus the log of the prior probability: robots pick up and put down,
@@ -51,7 +53,7 @@ its end, which is as rare: then it is told anew as that.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from itertools import pairwise
 from math import log
 from typing import NamedTuple
@@ -59,6 +61,7 @@ from typing import NamedTuple
 import numpy as np
 
 from semiparam_ros.core.columns import CoupledColumns
+from semiparam_ros.core.learnt_inputs import LARGEST_DISTANCE
 from semiparam_ros.core.model import Model
 from semiparam_ros.core.prediction import Prediction
 from semiparam_ros.core.robot.external_wrench import ExternalWrench, push_wrench
@@ -116,6 +119,9 @@ COMPARED, LEAST_COMPARED = 1.0 - 1.0 / 80.0, 40.0 * (1.0 - 1.0 / 80.0)
 over the last twenty seconds in which nothing does, ten at least."""
 RELEASED = 3
 """A contact is over when nothing stands out over the first so many lengths."""
+WIDER = 10.0 ** np.arange(6)
+"""So many times kappa P is the covariance of what a model does not know of motion unlike all it has learnt, each as
+likely."""
 STEP = 2.0**0.5
 """kappa grows by this factor or a power of it: few are told apart, which costs less."""
 MAPPED_S = 0.02
@@ -169,6 +175,8 @@ class MotionBlock(NamedTuple):
     hand when the block begins and ends."""
     added: Array
     """(m, 2, n) of each output the sums of w r k and w k^2, of what known effects add, k."""
+    unlike: float = 0.0
+    """Share of it that is unlike all that was learnt."""
 
 
 def gained(added: Array, came: bool) -> Array:
@@ -412,7 +420,7 @@ class ChangeDetector:
         self._map: Array | None = None
         self._turned: Array = np.zeros((n, 0))
         self._mapped_at, self._moved = 0.0, self._own.copy()
-        self._added = np.zeros((0, 2, n))
+        self._added, self._unlike = np.zeros((0, 2, n)), np.zeros(2)
         self._seconds, self._start, self._samples = 0.0, 0, 0
 
     @property
@@ -447,11 +455,13 @@ class ChangeDetector:
         model: Model,
         added: Array | None = None,
         spread: Array | float = 0.0,
+        distance: Callable[[Array], float] = lambda _: 0.0,
     ) -> Change | None:
         """Take one predicted sample into account; what is told with it.
 
         :param prediction: of a ``model`` without features. :param added: (m, n) what known effects
             add to the outputs. :param spread: (n,) standard deviation of those that were taken off.
+        :param distance: of inputs (m,) from those learnt, over the largest of these.
         """
         sample, theta = prediction.sample, model.theta
         self.finished = self.weighed = None
@@ -474,7 +484,7 @@ class ChangeDetector:
             self._refer()
             self._began = model.theta.copy()
         assert self._reference is not None
-        left = self._add(prediction, self._reference, weight / doubt, added)
+        left = self._add(prediction, self._reference, weight / doubt, added, distance)
         if self._usual_size:
             self.weighed = left * weight / self._usual_size, weight / self._usual_size
         self._start = self._start or sample.stamp
@@ -497,7 +507,8 @@ class ChangeDetector:
         self._reference, self._known_turns = reference.copy(), np.zeros_like(self._known_turns)
 
     def _add(
-        self, prediction: Prediction, reference: Array, weight: Array, added: Array | None
+        self, prediction: Prediction, reference: Array, weight: Array, added: Array | None,
+        distance: Callable[[Array], float],
     ) -> Array:
         """Take a sample into the block; (n,) what the reference leaves of it, not weighed."""
         columns, sample = prediction.columns, prediction.sample
@@ -508,6 +519,7 @@ class ChangeDetector:
                 sample.position, sample.velocity, sample.acceleration, reference[self._rigid]
             )
             self._mapped_at = self._seconds
+            self._unlike += (distance(sample.inputs) > LARGEST_DISTANCE, 1.0)
         rows = np.hstack([columns[:, : self._n_own], self._turned]) * weight[:, None]
         unweighed = sample.outputs - columns @ reference - self._turned @ self._known_turns
         left = unweighed * weight
@@ -557,6 +569,7 @@ class ChangeDetector:
             self._own,
             self._wrench,
             self._added,
+            float(self._unlike[0] / self._unlike[1]),
         )
         self._per_block = self._samples
         self._begin_block()
@@ -700,8 +713,11 @@ class ChangeDetector:
         """Return the hypothesis for which what stands out speaks."""
         followed = self.followed
         again = followed is not None and followed.blocks < JUDGED_ANEW
-        best, learns = self._likeliest(None if again else followed)
+        best, learns, elsewhere = self._likeliest(None if again else followed)
         self.touched = followed is None and not learns
+        if elsewhere and followed is None:
+            self.learn_usual()
+            return None
         if learns and followed is None:
             self._blocks.clear()
             self._before.clear()
@@ -721,15 +737,15 @@ class ChangeDetector:
         """The change that is likeliest now, beside a contact and none."""
         return self._likeliest(self.followed)[0] if self._blocks else None
 
-    def _likeliest(self, followed: Followed | None) -> tuple[Judged | None, bool]:
-        """The change that is likeliest beside all else, and whether the model's learning is likelier
-        than a change and than a contact.
+    def _likeliest(self, followed: Followed | None) -> tuple[Judged | None, bool, bool]:
+        """The change that is likeliest beside all else; whether the model's learning is likelier than a change and
+        than a contact; and whether that is of motion unlike all it had learnt.
 
         :param followed: what this change explains is taken off.
         """
         now, counts = len(self._blocks), self._counts()
         if not len(counts):
-            return None, False
+            return None, False, False
         starts = now - counts
         blocks, moments = np.array([block.gram for block in self._blocks]), self._left(followed)
         power = np.array([block.own[-1].sum() for block in self._blocks]) - self._gained(followed)
@@ -741,9 +757,8 @@ class ChangeDetector:
         unchanged = self._learning(grams, sums)
         brief = np.maximum(starts, now - LASTING)  # what began before is no contact, if it acts yet
         kappa = self._noise_left(_since(power, starts), (unchanged, *fits), starts, brief)
-        learning = np.maximum(
-            unchanged.evidence(kappa), unchanged.evidence(kappa, kappa[:, None])
-        )
+        familiar, elsewhere = self._learnt_better(unchanged, blocks, moments, starts, kappa)
+        learning = np.logaddexp(familiar, elsewhere) - log(2.0)
         known = self._known(starts, power, followed) / (2.0 * kappa)
         alone = np.array([fit.evidence(kappa) - fit.cause.price for fit in fits])
         acting = self._acting(kappa, [now])
@@ -765,7 +780,7 @@ class ChangeDetector:
             learns = learning.max() >= max(float(each.max()) for each in (touched, known, alone))
             if best.evidence < SURE and not learns:
                 break
-        return best, bool(learns)
+        return best, bool(learns), bool(learns and elsewhere.max() > familiar.max())
 
     def _counts(self) -> Indices:
         """(S,) numbers of blocks ago at which a change may have begun."""
@@ -827,6 +842,22 @@ class ChangeDetector:
         return CauseFit.of(
             LEARNING, root.T @ grams[:, part[:, None], part] @ root, sums[:, part] @ root
         )
+
+    def _learnt_better(
+        self, unchanged: CauseFit, grams: Array, moments: Array, starts: Indices, kappa: Array
+    ) -> tuple[Array, Array]:
+        """(S,) log evidence of what the model did not know any better, under noise kappa (S,), of windows of blocks
+        (B, ...) since some starts; and the same where it knew little of those unlike all that it had learnt."""
+        familiar = _knew_no_better(unchanged, kappa)
+        unlike = np.array([block.unlike for block in self._blocks])
+        if not unlike.any():
+            return familiar, familiar
+        rest, other = (
+            self._learning(*(_since((share * values.T).T, starts) for values in (grams, moments)))
+            for share in (1.0 - unlike, unlike)
+        )
+        unknown = [other.evidence(kappa, times * kappa[:, None]) for times in WIDER]
+        return familiar, _knew_no_better(rest, kappa) + np.logaddexp.reduce(unknown) - log(len(unknown))
 
     def _acting(self, kappa: Array, ends: Sequence[int]) -> Array:
         """(B, E, S) log evidence over none of what acts at the hand, or on each output, since each
@@ -960,6 +991,11 @@ class ChangeDetector:
         self.touched, self.followed = False, Followed(change, judged, blocks, self._directions.shape[1])
         self._compared = np.zeros(3)
         return change
+
+
+def _knew_no_better(fit: CauseFit, kappa: Array) -> Array:
+    """(S,) log evidence of theta ~ N(0, P), or N(0, kappa P)."""
+    return np.maximum(fit.evidence(kappa), fit.evidence(kappa, kappa[:, None]))
 
 
 def _contacts(before: Array, acting: Array, starts: Indices, ends: Iterable[int]) -> Array:

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections import Counter
 
+from semiparam_ros.core.learnt_inputs import LARGEST_DISTANCE
 from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError, listed
 from semiparam_ros.online.desired_state import Desired, described, desired
 from semiparam_ros.online.learner import Learner
 
-LARGEST_DISTANCE = 1.0
-"""A state further from what was learnt, taken together, than any input learnt itself is unlike all of them."""
 LARGEST_VARIANCE_RATIO = 1.0
 """Where the model's own variance exceeds that of the noise so many times, it has not learnt enough about the state."""
 

@@ -105,6 +105,7 @@ SCRATCH = {
     'body',  # built from the description, not from the file; with pinocchio's own work space
     'left', 'right',  # changes that wait no longer
     '_rows', 'rows', '_origins',  # of horizons that are over
+    '_metric',  # of the inputs kept, when it is first asked for
     '_marks',  # what would be taken back; a detector that knows nothing yet takes nothing back
     'revision',  # another one with every change, so that predictions made before are refused
     'options', '_options', 'hyperparameters',  # estimated the first time, given the second
