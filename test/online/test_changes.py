@@ -226,6 +226,21 @@ def test_what_the_model_does_not_know_yet_is_learnt_whatever_noise_is_usual(usua
     assert best.evidence < 0.0
 
 
+def test_blocks_alike_count_as_they_are_beside_others_that_tell_nothing():
+    body, samples = free()
+    detector = told(body, samples[samples.time < 40.0])[2]
+    blocks = list(detector._blocks)
+    nothing = [block._replace(gram=0.0 * block.gram, moment=0.0 * block.moment, unlike=1.0) for block in blocks[-8:]]
+    detector._blocks.extend([block._replace(moment=10.0 * block.moment) for block in blocks[:-8]] + nothing)
+    grams, moments = (np.array([getattr(block, name) for block in detector._blocks]) for name in ('gram', 'moment'))
+    starts, kappa = np.arange(0, len(blocks), 4), np.full(len(range(0, len(blocks), 4)), detector.noise)
+    unchanged = detector._learning(*(np.array([values[start:].sum(axis=0) for start in starts])
+                                     for values in (grams, moments)))
+    familiar, elsewhere = detector._learnt_better(unchanged, grams, moments, starts, kappa)
+    assert np.abs(familiar).max() > 1.0
+    np.testing.assert_allclose(elsewhere, familiar, atol=1e-9)
+
+
 @pytest.mark.parametrize(('seed', 'newton'), [(3, 15.0), (4, 30.0)])
 def test_a_push_is_a_contact_and_no_change(seed, newton):
     """The second one was a load of -1.5 kg while a contact was no wrench."""
