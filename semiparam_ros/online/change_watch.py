@@ -685,10 +685,22 @@ class ChangeWatch:
             change.ended,
             self._inputs,
             tuple(self.applied.contributions),
-            self.contacts,
+            (*self.contacts, *self._unnamed_beside(number)),
             done=partial(self._named, number, asked=change.ended),
             urgency=Urgency.ASKED,
         )
+
+    def _unnamed_beside(self, number: int) -> list[tuple[int, int]]:
+        """Stretches [ns] of other changes without a name, which are over, or came later and were not looked at
+        yet: they tell of a change only beside what else is there then."""
+        found = []
+        for key, other in self.records.items():
+            change, ended = other.change, other.change.ended
+            unnamed = other.effect is None and (other.brief or not other.retracted)
+            later = key > number and not other.times_named
+            if self._past < key != number and unnamed and (later or ended is not None):
+                found.append((change.touched or change.since, self._now if ended is None else ended))
+        return found
 
     def _named(
         self,

@@ -11,6 +11,7 @@ from semiparam_ros.core.robot.frames import last_link
 from semiparam_ros.diagnosis.change import name_change
 from semiparam_ros.effects.base import Span
 from semiparam_ros.effects.loads import Payload
+from semiparam_ros.effects.sensor import SensorOffset
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.experiments.evaluation import OfflineLearner
 from semiparam_ros.online import change_watch
@@ -598,6 +599,26 @@ def test_a_load_that_was_there_too_briefly_to_be_named_is_over_for_the_next_one(
     assert brief.unnamed and brief.effect.span.end_stamp_s == brief.change.ended / 10**9
     assert all(number != brief.change.number for _, number in stage.learner.changes._due), 'no more comes'
     assert abs(last.named.parameters['mass'].value - 0.5 * mass) < 0.05 * mass
+
+
+@pytest.mark.parametrize(('later', 'ended', 'effect', 'left_out'), [
+    (1, None, None, (8.0, 99.0)), (1, None, SensorOffset(None), None), (2, None, None, None),
+    (1, 12.0, None, (8.0, 12.0)), (-1, None, None, None),
+    (-1, 12.0, None, (8.0, 12.0)), (1, 10.0, None, (8.0, 10.0))])
+def test_what_another_change_without_a_name_is_takes_no_part_in_a_naming(later, ended, effect, left_out, monkeypatch):
+    """Friction that was named three times had not come after all, by a load that was picked up and had no name yet."""
+    stage, asked = begun(14.0), []
+    watch, record = stage.learner.changes, stage.changes[-1]
+    number, since = record.change.number + 1, record.change.since
+    over = None if ended is None else since + round(ended * 1e9)
+    other = record.change._replace(number=number + later, kind='', since=since + round(8e9), touched=0, ended=over)
+    watch.records[number] = ChangeRecord(record.change._replace(number=number))
+    watch.records[number + later] = ChangeRecord(other, times_named=int(later == 2), restored=effect)
+    monkeypatch.setattr(change_watch.diagnosis_jobs, 'name_change', lambda *given: asked.append(given[-1]))
+    watch._name(number, stage.learner.history, ())
+    newest = (watch._now - since) * 1e-9
+    told = [((first - since) * 1e-9, (last - since) * 1e-9) for first, last in asked[0][len(watch.contacts):]]
+    assert told == ([] if left_out is None else [pytest.approx((left_out[0], min(left_out[1], newest)))])
 
 
 def test_a_change_from_before_a_jump_of_the_clock_is_not_named_from_what_comes_after(monkeypatch):
