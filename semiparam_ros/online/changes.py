@@ -170,13 +170,24 @@ class MotionBlock(NamedTuple):
     own: Array
     """(6, n) of each output the sums of w (1, t, t^2, r, r t, r^2), with weights w and time t in
     blocks."""
-    wrench: tuple[Array, Array]
-    """(12, 12) and (12,) sums of E' W E and E' W r with E = [(1 - t) J, t J], of a wrench at the
+    along: Array
+    """(2, n, K) of each output the sums of w C L and w t C L."""
+    wrench: tuple[Array, Array, Array]
+    """(12, 12), (12,) and (12, K) sums of E' W E, E' W r and E' W C L with E = [(1 - t) J, t J], of a wrench at the
     hand when the block begins and ends."""
     added: Array
     """(m, 2, n) of each output the sums of w r k and w k^2, of what known effects add, k."""
     unlike: float = 0.0
     """Share of it that is unlike all that was learnt."""
+
+
+class ContactSums(NamedTuple):
+    """Sums of B blocks by which contacts are judged: ``own`` (B, 6, n) of each output, and those of a wrench at the
+    hand, (B, 12, 12) and (B, 12); see :class:`MotionBlock`."""
+
+    own: Array
+    grams: Array
+    moments: Array
 
 
 def gained(added: Array, came: bool) -> Array:
@@ -292,9 +303,12 @@ class Followed:
         self.theta = np.asarray(np.linalg.solve(_with_prior(self._gram), self._moment), dtype=float)
         self._latest = deque([self.theta], maxlen=SETTLED)
 
-    def add(self, block: MotionBlock) -> None:
-        """One more; the newest ones are left to say whether it goes on."""
+    def add(self, block: MotionBlock, stands_out: bool) -> None:
+        """One more; the newest ones are left to say whether it goes on. As long as anything ``stands_out`` beside it,
+        its coefficients stay what they were."""
         self._sum(block)
+        if stands_out and self.blocks > JUDGED_ANEW:
+            return
         self._latest.append(
             np.asarray(np.linalg.solve(_with_prior(self._gram), self._moment), dtype=float)
         )
@@ -416,10 +430,11 @@ class ChangeDetector:
     def _begin_block(self) -> None:
         p, n = len(self._directions), len(self._names)
         self._gram, self._moment, self._own = np.zeros((p, p)), np.zeros(p), np.zeros((6, n))
-        self._wrench = np.zeros((12, 12)), np.zeros(12)
+        self._along = np.zeros((2, n, p))
+        self._wrench = np.zeros((12, 12)), np.zeros(12), np.zeros((12, p))
         self._map: Array | None = None
         self._turned: Array = np.zeros((n, 0))
-        self._mapped_at, self._moved = 0.0, self._own.copy()
+        self._mapped_at, self._moved = 0.0, (self._own.copy(), self._along.copy())
         self._added, self._unlike = np.zeros((0, 2, n)), np.zeros(2)
         self._seconds, self._start, self._samples = 0.0, 0, 0
 
@@ -528,6 +543,7 @@ class ChangeDetector:
         self._gram += rows.T @ rows
         self._moment += left @ rows
         time = self._seconds / BLOCK_S
+        self._along += np.array([weight, time * weight])[:, :, None] * rows
         squares, pulls = weight * weight, weight * left
         self._own += (
             squares,
@@ -547,12 +563,14 @@ class ChangeDetector:
     def _move_to_hand(self) -> None:
         """Add what the outputs felt since the arm's map is that which it is to the wrench's sums."""
         if self._map is not None:
-            gram, moment = edge_sums(self._own - self._moved)
+            own, (now, late) = self._own - self._moved[0], self._along - self._moved[1]
+            gram, moment = edge_sums(own)
             felt = self._map.T
             blocks = (felt * np.moveaxis(gram, 0, -1)[:, :, None]) @ felt.T  # (2, 2, 6, 6)
             self._wrench[0][...] += blocks.swapaxes(1, 2).reshape(12, 12)
             self._wrench[1][...] += (felt @ moment).T.ravel()
-        self._moved = self._own.copy()
+            self._wrench[2][...] += np.vstack([felt @ (now - late), felt @ late])
+        self._moved = self._own.copy(), self._along.copy()
 
     def _block(self, stamp: int, theta: Array) -> MotionBlock:
         """The block that ends at a stamp; the next one begins."""
@@ -567,7 +585,8 @@ class ChangeDetector:
             (directions.T @ (self._moment - self._gram @ before), self._squares_left(before)),
             self._squares_left(self._learnt(theta)),
             self._own,
-            self._wrench,
+            self._along @ directions,
+            (*self._wrench[:2], self._wrench[2] @ directions),
             self._added,
             float(self._unlike[0] / self._unlike[1]),
         )
@@ -586,7 +605,7 @@ class ChangeDetector:
         self._count += 1
         followed = self.followed
         if followed is not None:
-            followed.add(block)
+            followed.add(block, bool(self._standing))
             if (ended := self._end(followed)) is not None:
                 if (rather := self._rather(followed, ended)) is not None:
                     followed.told_anew(self._anew(followed, rather, stamp), rather)
@@ -756,12 +775,13 @@ class ChangeDetector:
         ]
         unchanged = self._learning(grams, sums)
         brief = np.maximum(starts, now - LASTING)  # what began before is no contact, if it acts yet
-        kappa = self._noise_left(_since(power, starts), (unchanged, *fits), starts, brief)
+        contact = self._without(self._blocks, followed)
+        kappa = self._noise_left(_since(power, starts), (unchanged, *fits), starts, brief, contact)
         familiar, elsewhere = self._learnt_better(unchanged, blocks, moments, starts, kappa)
         learning = np.logaddexp(familiar, elsewhere) - log(2.0)
         known = self._known(starts, power, followed) / (2.0 * kappa)
         alone = np.array([fit.evidence(kappa) - fit.cause.price for fit in fits])
-        acting = self._acting(kappa, [now])
+        acting = self._acting(contact, kappa, [now])
         lasts = _likeliest_of(acting[:, 0], starts, brief) - fits[-1].cause.price
         alone[-1] = np.maximum(alone[-1], lasts)
         late = starts + (counts + 1) // 2
@@ -769,7 +789,7 @@ class ChangeDetector:
         touched = np.zeros(len(starts))
         for ends in ([now], range(1, now)):
             # what is no likelier than one of these contacts is not told
-            before = acting if now in ends else self._acting(kappa, ends)
+            before = acting if now in ends else self._acting(contact, kappa, ends)
             touched = np.maximum(touched, _contacts(before, acting[:, 0], starts, ends))
             beside = _beside(fits, alone, np.max([learning, touched, known], axis=0), counts)
             judged = [
@@ -790,14 +810,14 @@ class ChangeDetector:
         return np.array([count for count in SINCE if count <= now], dtype=int)
 
     def _noise_left(
-        self, power: Array, fits: Sequence[CauseFit], starts: Indices, brief: Indices
+        self, power: Array, fits: Sequence[CauseFit], starts: Indices, brief: Indices, contact: ContactSums
     ) -> Array:
         """(S,) kappa of the windows since some starts, which have these squares: the usual one times
         a power of ``STEP``, by what the best of some fits leaves, or what began before ``brief``
         and acts yet."""
         explained, noise = np.max([fit.explained for fit in fits], axis=0), self.noise
         if (starts < brief).any():
-            acting = self._acting(np.full(len(starts), noise), [len(self._blocks)])
+            acting = self._acting(contact, np.full(len(starts), noise), [len(self._blocks)])
             lasts = _likeliest_of(acting[:, 0], starts, brief)
             explained = np.maximum(explained, 2.0 * noise * lasts)
         usual = np.median(self._power) * (len(self._blocks) - starts)
@@ -859,20 +879,31 @@ class ChangeDetector:
         unknown = [other.evidence(kappa, times * kappa[:, None]) for times in WIDER]
         return familiar, _knew_no_better(rest, kappa) + np.logaddexp.reduce(unknown) - log(len(unknown))
 
-    def _acting(self, kappa: Array, ends: Sequence[int]) -> Array:
+    def _without(self, blocks: Iterable[MotionBlock], followed: Followed | None) -> ContactSums:
+        """Sums of some blocks by which contacts are judged, without what a change explains."""
+        blocks = list(blocks)
+        own, moments = np.array([block.own for block in blocks]), np.array([block.wrench[1] for block in blocks])
+        if followed is not None:
+            part, theta = followed.cause.part, followed.theta
+            for row, block in enumerate(blocks):
+                if block.start >= followed.change.since:
+                    own[row, 3:5] -= block.along[:, :, part] @ theta
+                    moments[row] -= block.wrench[2][:, part] @ theta
+        return ContactSums(own, np.array([block.wrench[0] for block in blocks]), moments)
+
+    def _acting(self, sums: ContactSums, kappa: Array, ends: Sequence[int]) -> Array:
         """(B, E, S) log evidence over none of what acts at the hand, or on each output, since each
         of the blocks and until some, under noise kappa (S,)."""
         kappa, which = np.unique(kappa, return_inverse=True)
-        return self._contact(list(self._blocks), kappa, np.array(ends, dtype=int))[..., which]
+        return self._contact(sums, kappa, np.array(ends, dtype=int))[..., which]
 
-    def _contact(self, blocks: Sequence[MotionBlock], kappa: Array, ends: Indices) -> Array:
+    def _contact(self, sums: ContactSums, kappa: Array, ends: Indices) -> Array:
         """(B, E, S) log evidence of a contact since each of some blocks and until others, under
         noise kappa (S,)."""
-        own, scale = np.array([block.own for block in blocks]), np.square(self._felt_scale)
-        each = wandering(*edge_sums(own), scale[:, None], kappa, ends)
+        scale = np.square(self._felt_scale)
+        each = wandering(*edge_sums(sums.own), scale[:, None], kappa, ends)
         each = (np.logaddexp(each, 0.0) - log(2.0)).sum(axis=-1)  # each output feels it or not
-        grams, moments = (np.array(sums) for sums in zip(*(b.wrench for b in blocks), strict=True))
-        at_hand = wandering(grams[:, None], moments[:, None], self._push[None] ** 2, kappa, ends)
+        at_hand = wandering(sums.grams[:, None], sums.moments[:, None], self._push[None] ** 2, kappa, ends)
         return np.asarray(np.maximum(each, at_hand[..., 0]).max(axis=1))
 
     def contact_rather(self, row: int, came: bool, since: int, shares: Array) -> bool:
@@ -894,7 +925,7 @@ class ChangeDetector:
         kappa = self.noise * max(float((np.square(shares) * added[1]).sum()) / usual, 1.0)
         known = float(gained(added, came).sum() / (2.0 * kappa))
         ends = np.arange(1, len(after) + 1)
-        acting = self._contact(after, np.array([kappa]), ends)
+        acting = self._contact(self._without(after, None), np.array([kappa]), ends)
         return known <= float(_contacts(acting, acting[:, -1], np.array([0]), ends)[0])
 
     def _end(self, followed: Followed) -> End | None:

@@ -504,7 +504,7 @@ def block_of(n, trials):
     """A block of motion of n outputs, in which so many trials add nothing."""
     nothing, none = np.zeros((0, 0)), np.zeros(0)
     return MotionBlock(0, 10**9, nothing, none, (none, 0.0), 0.0, np.full((6, n), 100.0),
-                       (nothing, none), np.zeros((trials, 2, n)))
+                       nothing, (nothing, none, nothing), np.zeros((trials, 2, n)))
 
 
 def test_an_effect_for_which_nothing_speaks_is_tried_for_so_long_and_dropped():
