@@ -14,6 +14,7 @@ from std_srvs.srv import Trigger
 
 from semiparam_ros.bags.loading import load_samples
 from semiparam_ros.core.variants import AVERAGED, CHOICES
+from semiparam_ros.ros.estimator.subscriptions import ACCELERATIONS, JOINT_STATES, WRENCH
 from semiparam_ros.settings import dump_params, load_params
 from semiparam_ros.settings.build import build_estimator
 from support.node_client import Client, NodeProcess
@@ -59,10 +60,13 @@ def test_variants_and_back_while_a_bag_plays_at_ten_times_real_time(tmp_path, ro
     samples = in_turn(*[circles] * (4 if long else 1))
     bag = write_bag(tmp_path / 'circles.mcap', samples, settings.joints, circles.robot_description,
                     settings.sensor_frame)
+    # The ten messages that a recorder's profile keeps are lost where the node does not run for a twentieth of a second.
+    kept = ''.join(f'/{topic}: {{history: keep_all}}\n' for topic in (JOINT_STATES, WRENCH, ACCELERATIONS))
+    (tmp_path / 'kept.yaml').write_text(kept)
     switched = []
     with (NodeProcess(tmp_path, tmp_path / 'p.yaml'), Client() as client,
           Tool(tmp_path, 'replay', bag, '--rate', 10, '--wait-for-subscribers', '--quiet', '--json',
-               tmp_path / 'played.json') as player):
+               tmp_path / 'played.json', '--qos-profile-overrides-path', tmp_path / 'kept.yaml') as player):
         client.connect()
         client.wait(lambda: len(client.heard['residual']) > settings.initial_samples + 50, 'the first model')
         for variant in ORDER if long else FEW:
