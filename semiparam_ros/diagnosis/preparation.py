@@ -226,7 +226,7 @@ def too_fast(samples: Samples, inputs: Inputs, fit: Fit) -> tuple[list[str], Arr
     spread = fit.samples.acceleration.std(axis=0)
     left = fit.squares / np.maximum(fit.counts, 1.0)
     power = np.mean(inertia_columns(fit.body, fit.samples, fit.rigid_part)[fit.train_mask] ** 2, axis=0)
-    # what rounding hides of one joint hides nothing of the others
+    # of a joint at rest they are below rounding, which hides nothing of the others
     errors, *finer = np.nan_to_num(acceleration_errors(raw, *smoother, times=(1, *config.faster)))
     share, *shares = [power @ each**2 / left for each in (errors, *finer)]
     if share.max() < config.most:

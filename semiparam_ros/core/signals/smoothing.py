@@ -235,7 +235,7 @@ class _SmoothingProblem:
 
     def acceleration_error(self, logs: Array, times: float) -> float:
         """Standard deviation of an acceleration far from the ends, of measurements at ``times`` the rate; NaN where
-        the noise is so small beside the motion that rounding spoils the factor."""
+        the motion is so small beside the noise, as of a joint at rest, that rounding spoils the factor."""
         powers = np.array([self.order - 0.5, *range(len(self.motion))])
         count = 2 * SEEN + 1
         problem = _SmoothingProblem(np.ones(count - 1), [np.zeros(count)] * len(self.motion), self.order)
