@@ -1,19 +1,21 @@
 """What declared effects cost: ``python benchmarks/cost_of_effects.py ROBOTS``.
 
 ROBOTS is the folder ``robots`` of example-robot-data. Viscous and dry friction and an offset of every joint are
-declared on two simulated arms, in several forms. Medians of a sample (predicted, then learnt) and of a desired state,
-one thread.
+declared on two simulated arms, in several forms, which take turns. Medians of a sample (predicted, then learnt) and of
+a desired state, one thread.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 os.environ.setdefault('OMP_NUM_THREADS', '1')
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'test'))
@@ -25,7 +27,7 @@ from semiparam_ros.core.samples import Sample, Samples
 from semiparam_ros.experiments.evaluation import OfflineLearner
 
 ARMS = ('UR5 (simulated)', 'xArm7 (simulated)')
-LEARNT, TIMED = 1250, 400
+LEARNT, TIMED, ROUNDS = 1250, 200, 7
 DRY: dict[str, Callable[[int], str]] = {
     'none': lambda joint: '',
     'dry friction alike': lambda joint: '{"turn_speed": 0.01}',
@@ -50,30 +52,48 @@ def timed(call: Callable[[Sample], object], samples: Samples) -> float:
     return 1e6 * float(np.median(taken))
 
 
-def costs(pair: Pair, variant: str, effects: tuple[str, ...]) -> tuple[float, float]:
-    """[us] Of a sample, and of a desired state."""
-    settings = replace(pair.settings, effects=effects, variant=variant)
-    learner = OfflineLearner(settings, [], lambda: None)
+def begun(pair: Pair, variant: str, effects: tuple[str, ...]) -> OfflineLearner:
+    """A learner that has its hyperparameters."""
+    learner = OfflineLearner(replace(pair.settings, effects=effects, variant=variant), [], lambda: None)
     learner.begin(pair.first.origin)
     for sample in pair.first[:LEARNT]:
         learner.step(sample, True)
-    model, rest = learner.estimator, pair.first[LEARNT:LEARNT + TIMED]
-    return (timed(lambda sample: model.observe(model.predict(sample)), rest),
-            timed(lambda sample: model.predict_desired(*sample[1:4]), rest))
+    return learner
+
+
+def costs(pair: Pair, variant: str) -> Iterator[dict[str, Any]]:
+    """Runs: [us] of a sample and of a desired state, a figure each round; the forms take turns in every round."""
+    forms = {name: declared(pair.settings.joints, dry) for name, dry in DRY.items()}
+    models = {name: begun(pair, variant, effects).estimator for name, effects in forms.items()}
+    taken: dict[str, list[tuple[float, float]]] = {name: [] for name in forms}
+    for start in range(LEARNT, LEARNT + ROUNDS * TIMED, TIMED):
+        for name, model in models.items():
+            rest = pair.first[start:start + TIMED]
+            taken[name].append((timed(lambda sample, model=model: model.observe(model.predict(sample)), rest),
+                                timed(lambda sample, model=model: model.predict_desired(*sample[1:4]), rest)))
+    for name, effects in forms.items():
+        sample, desired = zip(*taken[name], strict=True)
+        yield {'arm': pair.name, 'variant': variant, 'declared': name, 'effects': len(effects),
+               'sample_us': sample, 'desired_us': desired}
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or '').partition('\n')[0])
     parser.add_argument('robots', type=Path)
+    parser.add_argument('--json', type=Path, metavar='FILE')
     args = parser.parse_args()
-    print('| arm | variant | effects | declared | sample [us] | desired state [us] |')
+    runs: list[dict[str, Any]] = []
+    print('| arm | variant | declared | effects | sample [us] | desired state [us] |')
     for pair in pairs(None, args.robots):
         for variant in ('SPK-ML', 'P') if pair.name in ARMS else ():
-            for name, dry in DRY.items():
-                effects = declared(pair.settings.joints, dry)
-                sample, ahead = costs(pair, variant, effects)
-                print(f'| {pair.name} | {variant} | {len(effects)} | {name} | {sample:.0f} | {ahead:.0f} |',
-                      flush=True)
+            for run in costs(pair, variant):
+                runs.append(run)
+                sample, desired = (np.median(run[name]) for name in ('sample_us', 'desired_us'))
+                print(f'| {run["arm"]} | {variant} | {run["declared"]} | {run["effects"]} '
+                      f'| {sample:.0f} | {desired:.0f} |', flush=True)
+    if args.json:
+        document = json.dumps({'command': 'cost_of_effects', 'runs': runs}, indent=1)
+        args.json.write_text(document + '\n', encoding='utf-8')
     return 0
 
 

@@ -97,6 +97,27 @@ def bench(found: Document) -> Table:
         for size in found['sizes']])
 
 
+def effects_cost(found: Document) -> Table:
+    """Cost of the default by what is declared: median and range, and over the cost of none in the same round."""
+    runs = [run for run in found['runs'] if run['variant'] == 'SPK-ML']
+    arms = list(dict.fromkeys(run['arm'] for run in runs))
+    cells = {(run['declared'], run['arm']): run for run in runs}
+    rows = []
+    for name in dict.fromkeys(run['declared'] for run in runs):
+        row = [name]
+        for arm in arms:
+            run, none = cells[name, arm], cells['none', arm]
+            ratio = median(one / other for one, other in zip(run['sample_us'], none['sample_us'], strict=True))
+            row += [_median_and_range(run['sample_us']), f'{ratio:.2f}', _median_and_range(run['desired_us'])]
+        rows.append(row)
+    return Table(('Declared', *(f'{arm.split(" (")[0]}: {what}' for arm in arms
+                                for what in ('sample [us]', 'over none', 'desired state [us]'))), rows)
+
+
+def _median_and_range(values: Sequence[float]) -> str:
+    return f'{median(values):.0f} ({min(values):.0f} to {max(values):.0f})'
+
+
 def many_joints(found: Document) -> Table:
     """Cost by the number of joints."""
     return Table(('Joints', 'Base parameters', 'P [us]', 'SPK-ML [us]',

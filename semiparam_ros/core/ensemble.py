@@ -2,9 +2,10 @@
 
 Dynamic model averaging (Raftery, Karny and Ettler 2010). Every output k weighs the members by
 itself: w_mk follows the log density that member m gave to what was measured, forgotten slowly, with
-Student's t for the densities, so that a spike decides nothing. The answers meet in a logarithmic
-pool (see ``opinion_pool``). Each member has its own wandering offset and bands; those that have the
-same effects share their columns. One model alone is an ensemble of one.
+Student's t for the densities and some density of outliers, so that a spike decides nothing. The
+answers meet in a logarithmic pool (see ``opinion_pool``). Each member has its own wandering offset
+and bands; those that have the same effects share their columns. One model alone is an ensemble of
+one.
 """
 
 from __future__ import annotations
@@ -33,6 +34,9 @@ EVIDENCE_MEMORY = 500.0
 LEAST_LOG_WEIGHT = -6.0
 """The best has 0: who was poor for long still weighs enough to take over within a few samples of a
 change."""
+OUTLIER_DENSITY = 0.05
+"""A sample may be an outlier, as where velocities tell too late that a joint turns back: under every
+model it has so much of the density that the best of them gives it."""
 
 OFF_SHARE = 0.1
 """Where nothing moves and all outputs are below this share of what is predicted, the motors are
@@ -202,11 +206,12 @@ class Ensemble:
         self._horizons.clear()
 
     def leave_motion(self) -> None:
-        """Forget what followed the motion that is over: the wandering offsets, and half of the
-        weights, for those of blocks that were left out; the next motion may go on or be another."""
+        """Forget what followed the motion that is over: the wandering offsets, and the weights, for
+        those of blocks that were left out."""
         if len(self.models) > 1:
-            weights = 0.5 * (self.weights + self._weights_elsewhere())
-            self._log_weights = np.maximum(np.log(weights / weights.max(axis=0)), LEAST_LOG_WEIGHT)
+            weights = self._weights_elsewhere()
+            with np.errstate(divide='ignore'):
+                self._log_weights = np.maximum(np.log(weights / weights.max(axis=0)), LEAST_LOG_WEIGHT)
             self.weights = shares(self._log_weights)
         self.forget_offsets()
 
@@ -305,7 +310,10 @@ def weigh_models(log_weights: Matrix, errors: Matrix, std: Matrix) -> Matrix:
     """(K, n) weights after the errors (K, n) of a sample, and the standard deviations (K, n) that
     were given to it."""
     evidence = np.empty(errors.shape)
-    for m in range(len(errors)):
-        for k in range(errors.shape[1]):
+    for k in range(errors.shape[1]):
+        for m in range(len(errors)):
             evidence[m, k] = student(errors[m, k] / std[m, k]) - np.log(std[m, k])
+        best = evidence[:, k].max()
+        for m in range(len(errors)):
+            evidence[m, k] = np.log(np.exp(evidence[m, k] - best) + OUTLIER_DENSITY)
     return weigh(log_weights, evidence, EVIDENCE_MEMORY, LEAST_LOG_WEIGHT)

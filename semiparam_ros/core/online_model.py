@@ -24,6 +24,11 @@ from semiparam_ros.core.square_root_filter import Root
 from semiparam_ros.core.types import Array, Indices, Stamps
 from semiparam_ros.core.wandering_offset import DECAY, WanderingOffset, follow
 
+MOST_DEVIATION = 2.0
+"""Over that of the noise: a desired state that is more uncertain than that is not one to follow unasked. Chosen on 26
+pairs of motions: where one covers the range of the other, at least 80 % of the states are below, and at most .5 % of
+those in error by more than three standard deviations."""
+
 
 class ModelState(NamedTuple):
     """State of a model: what it has learnt, with its hyperparameters."""
@@ -87,7 +92,7 @@ class OnlineModel:
         prior = model.predict_by(recursion, phi, shown)
         of_sensor = (shown - needed)[:, model.covered] @ model.theta
         covariance = prior.covariance + (1.0 - known) * recursion.rho**2 * np.diag(recursion.scale**2)
-        ratio = ((covariance.diagonal() - prior.extra_variance) / model.noise_std**2).max() - 1.0
+        ratio = ((covariance.diagonal() - prior.extra_variance) / (MOST_DEVIATION * model.noise_std) ** 2).max()
         return DesiredOutputs(prior.mean, prior.mean - of_sensor, covariance, float(ratio))
 
     def coefficients(self) -> Coefficients:

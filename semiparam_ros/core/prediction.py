@@ -90,7 +90,8 @@ class DesiredOutputs(NamedTuple):
     shown: Array  # by the sensor
     needed: Array  # by the arm: without the sensor's offset and effects
     covariance: Array  # (n, n) of what is shown, noise included
-    variance_ratio: float  # largest variance of the model itself over that of the noise, over the outputs
+    variance_ratio: float
+    """The largest over the outputs: variance of model and noise, over that of twice the noise's standard deviation."""
     distance: float = 0.0
     """From the inputs learnt, over the largest of these: see :mod:`semiparam_ros.core.learnt_inputs`."""
 

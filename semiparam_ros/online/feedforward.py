@@ -11,7 +11,7 @@ from semiparam_ros.online.desired_state import Desired, described, desired
 from semiparam_ros.online.learner import Learner
 
 LARGEST_VARIANCE_RATIO = 1.0
-"""Where the model's own variance exceeds that of the noise so many times, it has not learnt enough about the state."""
+"""Where an answer is more than twice as uncertain as the noise, the model has not learnt enough about the state."""
 
 
 MARKS = {'described': 'answered by the robot description alone',
@@ -87,7 +87,7 @@ STATUS = ('valid', 'described', 'limited', 'outside', 'variance_ratio', 'distanc
 
 def status(found: Desired) -> list[float]:
     """Numbers that mark an answer: valid (1: by the model, within what it learnt, not cut), by the description (1),
-    how many efforts were cut, how many inputs lie outside of those learnt, model's over noise's variance, and the
+    how many efforts were cut, how many inputs lie outside of those learnt, the ratio of variances, and the
     distance from the inputs learnt, taken together, over the largest of these."""
     cut = float(found.limited.sum())
     valid = not (found.described or cut or is_doubtful(found))

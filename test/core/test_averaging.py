@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.stats import t as student
 
-from semiparam_ros.core.ensemble import ELSEWHERE, EVIDENCE_MEMORY, LEAST_LOG_WEIGHT, weigh_models
+from semiparam_ros.core.ensemble import ELSEWHERE, EVIDENCE_MEMORY, LEAST_LOG_WEIGHT, OUTLIER_DENSITY, weigh_models
 from semiparam_ros.core.estimator import Estimator
 from semiparam_ros.core.mixture import DEGREES
 from semiparam_ros.core.model import ModelOptions
@@ -60,7 +60,8 @@ def test_weights_are_forgotten_evidence():
     for index in range(40):
         weights = weigh_models(log_weights, errors[index], std[index])
         evidence = (1.0 - 1.0 / EVIDENCE_MEMORY) * evidence
-        evidence += student.logpdf(errors[index] / std[index], DEGREES) - np.log(std[index])
+        density = student.pdf(errors[index] / std[index], DEGREES) / std[index]
+        evidence += np.log(density + OUTLIER_DENSITY * density.max(axis=0))
     assert np.ptp(evidence, axis=0).max() < -LEAST_LOG_WEIGHT, 'the floor is another test'
     expected = np.exp(evidence - evidence.max(axis=0))
     np.testing.assert_allclose(weights, expected / expected.sum(axis=0), rtol=1e-9)
@@ -76,6 +77,14 @@ def test_weights_stay_finite_and_the_last_takes_over_within_a_few_samples(scale)
     for _ in range(3):
         weights = weigh_models(log_weights, scale * poor, np.full((2, 1), scale))
     assert np.isfinite(weights).all() and weights[1, 0] > 0.9
+
+
+def test_one_sample_that_only_the_poorer_model_expects_does_not_take_the_weight_from_the_better_one():
+    log_weights = np.zeros((2, 1))
+    for _ in range(200):
+        weigh_models(log_weights, np.array([[0.5], [3.0]]), np.array([[1.0], [4.0]]))
+    weights = weigh_models(log_weights, np.array([[25.0], [3.0]]), np.array([[1.0], [4.0]]))
+    assert weights[0, 0] > 0.9
 
 
 def test_each_member_is_as_it_would_be_alone_and_the_average_no_less_likely_than_the_best(averaged):

@@ -63,8 +63,9 @@ def test_an_average(members):
     for _ in range(50):
         means, model_means = rng.standard_normal((2, members, N))
         std, roots = rng.uniform(0.5, 2.0, (members, N)), rng.standard_normal((members, N, N))
-        expected = plain.weigh(log_weights, plain.student(means / std) - np.log(std), ensemble.EVIDENCE_MEMORY,
-                               ensemble.LEAST_LOG_WEIGHT)
+        density = np.exp(plain.student(means / std)) / std
+        evidence = np.log(density / density.max(axis=0) + ensemble.OUTLIER_DENSITY)
+        expected = plain.weigh(log_weights, evidence, ensemble.EVIDENCE_MEMORY, ensemble.LEAST_LOG_WEIGHT)
         weights = ensemble.weigh_models(log_weights, means, std)
         for found, theirs in zip((log_weights, weights), expected, strict=True):
             np.testing.assert_allclose(found, theirs, **TOLERANCE)
