@@ -37,7 +37,7 @@ def assert_safe(body, found):
     if body.outputs == 'effort':
         assert found.outputs is found.efforts
     marks = dict(zip(STATUS, status(found), strict=True))
-    assert bool(marks['valid']) == (not found.described and not found.limited.any() and not found.outside
+    assert bool(marks['valid']) == (not found.described and not found.limited.any() and found.distance <= 2.0
                                     and found.variance_ratio <= 1.0)
 
 
@@ -72,6 +72,18 @@ def test_every_effect_and_every_state(case, values):
         else:
             assert np.isfinite(row).all()
             assert_safe(body, found)
+
+
+def test_what_is_known_well_is_as_uncertain_as_a_measurement_which_is_a_quarter_of_what_is_valid():
+    body = BODIES['effort']
+    estimator, ratios = Estimator(body, ModelOptions(variant='P', initial_samples=50, forgetting=1.0)), []
+    rng = np.random.default_rng(0)
+    for sample in smooth_motion(4, 2000):
+        outputs = body.regressor(*sample[1:4]) @ body.base_parameters + 0.1 * rng.standard_normal(body.n_outputs)
+        estimator.step(sample._replace(outputs=outputs))
+        if estimator.ready:
+            ratios.append(desired(estimator, *sample[1:4]).variance_ratio)
+    assert 0.25 < ratios[-1] < 0.3 < ratios[0]
 
 
 def test_a_desired_state_is_as_warm_as_the_newest_sample():
@@ -133,6 +145,13 @@ def test_it_is_withheld_until_there_is_a_model_or_answered_by_the_description(ou
     stage.learner.reset()
     with pytest.raises(SemiparamError, match='withheld'):
         feedforward.answer(stage.learner, *ROW)
+
+
+@pytest.mark.parametrize(('farther', 'less_sure', 'valid'), [(1.9, 0.9, 1.0), (2.1, 0.9, 0.0), (1.9, 1.1, 0.0)])
+def test_a_state_is_valid_up_to_twice_the_distance_and_twice_the_deviation(farther, less_sure, valid):
+    found = desired(learnt(*CASES[0]), *np.zeros((3, BODIES[CASES[0][0]].n_joints)))
+    none = np.zeros(len(found.efforts), dtype=bool)
+    assert status(found._replace(distance=farther, variance_ratio=less_sure, limited=none))[0] == valid
 
 
 @pytest.mark.parametrize('mass', [0.1, 1.0, 100.0])
