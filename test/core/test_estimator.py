@@ -268,14 +268,26 @@ CHANGES = {
     'other recording': lambda model, sample: model.begin_recording(0)}
 
 
-def test_another_recording_begins_with_the_weights_of_left_out_blocks(trained, recording):
+def test_another_recording_begins_with_weights_between_the_last_ones_and_those_of_left_out_blocks(trained, recording):
     model = trained_copy(trained)
     ensemble = model.ensemble
-    elsewhere = ensemble._weights_elsewhere()
-    assert len(ensemble.models) == 1 or np.abs(ensemble.weights - elsewhere).max() > 0.1
+    last, elsewhere = ensemble.weights, ensemble._weights_elsewhere()
     model.begin_recording(0)
     np.testing.assert_allclose(ensemble.weights.sum(axis=0), 1.0)
-    np.testing.assert_allclose(ensemble.weights, elsewhere, atol=0.01)  # but for the least weight
+    np.testing.assert_allclose(ensemble.weights, (last + elsewhere) / 2.0, atol=0.01)  # but for the least weight
+    model.begin_recording(0)
+    assert np.abs(ensemble.weights - elsewhere).max() <= np.abs(last - elsewhere).max() / 4.0 + 0.01
+
+
+def test_another_recording_begins_with_the_bands_of_left_out_blocks(trained, recording):
+    model = trained_copy(trained)
+    usual = model.predict(recording[0])
+    model.begin_recording(0)
+    found = model.predict(recording[0])
+    elsewhere = model.ensemble._std_elsewhere()
+    assert model.ensemble.carried.squares.size
+    for its, before, std in zip(found.members, usual.members, elsewhere, strict=True):
+        assert (its.std >= 0.99 * np.minimum(before.std, std)).all() and (its.std >= 0.6 * std).all()
 
 
 @pytest.mark.parametrize('change', CHANGES.values(), ids=CHANGES)
