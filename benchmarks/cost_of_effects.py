@@ -27,7 +27,7 @@ from semiparam_ros.core.samples import Sample, Samples
 from semiparam_ros.experiments.evaluation import OfflineLearner
 
 ARMS = ('UR5 (simulated)', 'xArm7 (simulated)')
-LEARNT, TIMED, ROUNDS = 1250, 200, 7
+LEARNT, TIMED, ROUNDS = 5000, 200, 7
 DRY: dict[str, Callable[[int], str]] = {
     'none': lambda joint: '',
     'dry friction alike': lambda joint: '{"turn_speed": 0.01}',
@@ -58,6 +58,7 @@ def begun(pair: Pair, variant: str, effects: tuple[str, ...]) -> OfflineLearner:
     learner.begin(pair.first.origin)
     for sample in pair.first[:LEARNT]:
         learner.step(sample, True)
+    assert learner.estimator.ready, 'its initial window is not over'
     return learner
 
 
