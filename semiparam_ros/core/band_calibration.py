@@ -9,8 +9,7 @@ deviation is c times the model's:
 
 for a few memories m; m without end is the model's own scale, c = 1. They are mixed by their
 evidence (:mod:`semiparam_ros.core.mixture`), which is forgotten fast: a short memory takes over
-within a few samples of a change, a long one when all is calm. Where another motion begins, the
-shortest begins with the errors to expect there, and has half of the weight. With a memory of m samples the
+within a few samples of a change, a long one when all is calm. With a memory of m samples the
 prediction is Student's t with 2 m - 1 degrees of freedom, whose variance is wider than c^2; that
 factor is included.
 """
@@ -26,7 +25,6 @@ from semiparam_ros.core.types import Array
 
 MEMORIES = np.array([np.inf, 10.0, 30.0, 100.0, 500.0])
 """[samples]"""
-SHORTEST = 1
 SHARE_OF_OWN = 0.5
 """Probability of the model's own scale before anything is seen; the others share the rest."""
 EVIDENCE_MEMORY = 100.0
@@ -59,17 +57,6 @@ class BandCalibration(FilterBank):
         """Take in the innovation (n,) of a sample, and the standard deviation (n,) that the model
         gave it."""
         calibrate(innovation, std, self.table)
-
-    def expect(self, squares: Array) -> None:
-        """Another motion begins: as likely as not the squares of errors over the model's variance
-        are as large as these (n,)."""
-        memories = len(MEMORIES)
-        scales, log_weights = self.table[:memories], self.table[memories:2 * memories]
-        scales[SHORTEST] = np.maximum(scales[SHORTEST], squares)
-        others = np.delete(log_weights, SHORTEST, axis=0)
-        log_weights[SHORTEST] = np.logaddexp.reduce(others, axis=0)
-        log_weights -= log_weights.max(axis=0)
-        mix(self.table, shares(log_weights))
 
     def _possible(self, table: Array) -> bool:
         positive = (table[:len(MEMORIES)] >= LEAST_SCALE).all() and (table[-1] > 0.0).all()

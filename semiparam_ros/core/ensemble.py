@@ -207,22 +207,12 @@ class Ensemble:
 
     def leave_motion(self) -> None:
         """Forget what followed the motion that is over: the wandering offsets, and half of the
-        weights, for those of blocks that were left out; the next motion may go on or be another. So
-        errors may be as large as they were, or as it is to be expected elsewhere."""
+        weights, for those of blocks that were left out; the next motion may go on or be another."""
         if len(self.models) > 1:
             weights = 0.5 * (self.weights + self._weights_elsewhere())
             self._log_weights = np.maximum(np.log(weights / weights.max(axis=0)), LEAST_LOG_WEIGHT)
             self.weights = shares(self._log_weights)
-        if len(self.carried.squares):
-            for each, std in zip(self.models, self._std_elsewhere(), strict=True):
-                each.calibration.expect((std / each.model.noise_std) ** 2)
         self.forget_offsets()
-
-    def _std_elsewhere(self) -> Array:
-        """(K, n) of the errors to expect of each model on motion that it has not learnt, noise
-        included."""
-        noise = np.array([each.model.noise_std for each in self.models])
-        return ELSEWHERE * self.carried.expected(noise)
 
     def forget_offsets(self) -> None:
         """Let the wandering offsets begin anew."""
@@ -247,7 +237,7 @@ class Ensemble:
         found = [each.predict_desired(x, *((shown, needed) if each.columns.effects else plain), share)
                  for each, share in zip(self.models, known.tolist(), strict=True)]
         noise = np.array([each.model.noise_std for each in self.models])
-        beyond = self._std_elsewhere()**2 - noise**2
+        beyond = ELSEWHERE**2 * self.carried.expected(noise)**2 - noise**2
         covariances = np.array([each.covariance for each in found])
         covariances += beyond[:, :, None] * np.eye(len(noise[0]))
         weights, of_blocks = self._weights_elsewhere(known), self._weights_elsewhere()

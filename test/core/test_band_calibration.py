@@ -38,17 +38,6 @@ def test_errors_of_another_size_are_followed_within_a_few_samples(size):
     assert covered(calibration, noise(1000, seed=2))[60:].mean() == pytest.approx(0.95, abs=0.015)  # and back
 
 
-@pytest.mark.parametrize('size', [1.0, 20.0])
-def test_another_motion_may_have_errors_of_another_size_from_its_first_sample(size):
-    calibration = BandCalibration(N)
-    covered(calibration, noise(1000))
-    calibration.expect(np.full(N, 900.0))
-    assert (calibration.factor > 20.0).all()
-    assert covered(calibration, size * noise(10, seed=3))[:3].mean() > 0.8
-    covered(calibration, size * noise(50, seed=4))
-    np.testing.assert_allclose(calibration.factor, size, rtol=0.5)
-
-
 def test_each_output_has_its_own_scale():
     calibration = BandCalibration(N)
     covered(calibration, noise(1000) * [1.0, 5.0, 1.0, 1.0])
