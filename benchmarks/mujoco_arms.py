@@ -228,7 +228,8 @@ def _reported(setting: Setting, position: Array, velocity: Array, outputs: Array
         velocity = np.gradient(position, STEP_S, axis=0)
     if setting.velocity_filter_hz:
         below = butter(2, setting.velocity_filter_hz, fs=1.0 / STEP_S)
-        velocity, _ = lfilter(*below, velocity, axis=0, zi=lfilter_zi(*below)[:, None] * velocity[:1])  # it runs already
+        running = lfilter_zi(*below)[:, None] * velocity[:1]  # before the recording begins
+        velocity, _ = lfilter(*below, velocity, axis=0, zi=running)
     if setting.gains:
         outputs = outputs * (1.0 + np.array(setting.gains))
     late = round(setting.late_s / STEP_S)
