@@ -54,7 +54,7 @@ def variants(found: Document) -> Table:
 
 def frozen_variants(found: Document) -> Table:
     """Error on the second recording without learning it."""
-    chosen = ('P', 'SP-ML', 'SP2-ML', 'SPK-ML', 'SP2-VS', 'auto')
+    chosen = ('P', 'SP-ML', 'SP2-ML', 'SPK-ML', 'auto')
     return Table(('A to B', *chosen), [
         (pair, *(f'{runs[name]["frozen"]["nmse"]:.4f}' for name in chosen))
         for pair, runs in _by_pair(found).items()])
