@@ -14,6 +14,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -85,8 +86,9 @@ def main() -> int:
     args = parser.parse_args()
     runs: list[dict[str, Any]] = []
     print('| arm | variant | declared | effects | sample [us] | desired state [us] |')
-    for pair in pairs(None, args.robots):
-        for variant in ('SPK-ML', 'P') if pair.name in ARMS else ():
+    chosen = (pair for pair in pairs(None, args.robots) if pair.name in ARMS)
+    for pair in islice(chosen, len(ARMS)):
+        for variant in ('SPK-ML', 'P'):
             for run in costs(pair, variant):
                 runs.append(run)
                 sample, desired = (np.median(run[name]) for name in ('sample_us', 'desired_us'))
