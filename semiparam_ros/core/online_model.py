@@ -25,7 +25,7 @@ from semiparam_ros.core.types import Array, Indices, Stamps
 from semiparam_ros.core.wandering_offset import DECAY, WanderingOffset, follow
 
 MOST_DEVIATION = 2.0
-"""Over that of the noise: a desired state that is more uncertain is not one to follow unasked. Where one of 24 pairs of
+"""Over that of the noise: a desired state that is more uncertain is not one to follow unasked. Where one of 23 pairs of
 motions covers the range of the other, at least 80 % of the states are below."""
 
 

@@ -10,7 +10,7 @@ from semiparam_ros.online.desired_state import Desired, described, desired
 from semiparam_ros.online.learner import Learner
 
 FARTHEST_VALID = 2.0
-"""Distance from what was learnt, over the largest in it. Of 24 pairs of motions states below have .5 % of errors beyond
+"""Distance from what was learnt, over the largest in it. Of 23 pairs of motions states below have .5 % of errors beyond
 three standard deviations at most; where an arm learns its friction wrongly, for it moves in one way, it is four."""
 LARGEST_VARIANCE_RATIO = 1.0
 """Where an answer is more than twice as uncertain as the noise, the model has not learnt enough about the state."""
