@@ -237,7 +237,7 @@ MADE: dict[str, tuple[str, Callable[[Document], Table]]] = {
     'mujoco_arms': ('mujoco_arms', measured_arms), 'ordinary_work': ('ordinary_work', changes),
     'other_changes': ('other_changes', changes), 'measured_loads': ('measured_loads', changes),
     **{make.__name__: (make.__name__, make) for make in
-       (other_motion, bench, many_joints, measured_arms, scoreboard, put_down, tracking,
+       (other_motion, bench, effects_cost, many_joints, measured_arms, scoreboard, put_down, tracking,
         exported_arms, changes, carried_load)}}
 """The file and the function of each table that a command's JSON gives."""
 
