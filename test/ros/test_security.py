@@ -3,7 +3,6 @@
 import os
 import subprocess
 import sys
-import time
 import xml.etree.ElementTree as ElementTree
 from dataclasses import replace
 
@@ -55,9 +54,11 @@ def play_until_shadows(client, samples, variants):
     """Move until each of these variants has told its horizon errors as a shadow, however long building them takes."""
     def told():
         return {name.split('/')[-2] for name in offered(client)['topics', 'publish'] if '/shadow/' in name}
-    while {variant.lower().replace('-', '_') for variant in variants} - told():
+
+    def all_have():
         client.play([next(samples)], JOINTS)
-        time.sleep(0.01)
+        return {variant.lower().replace('-', '_') for variant in variants} <= told()
+    client.wait(all_have, f'horizon errors of {sorted(variants)} as shadows', timeout_s=40)
 
 
 @pytest.mark.slow
@@ -65,7 +66,7 @@ def test_the_policy_names_exactly_what_live_nodes_read_write_and_serve(ros_domai
     """A wrench model with every variant as a shadow; then efforts with temperatures, on a simulated clock."""
     params = tmp_path / 'p.yaml'
     dump_params(replace(LIVE, variant='P', shadow_variants=tuple(name for name in CHOICES if name != 'P')), params)
-    samples = iter(motion(3000))
+    samples = iter(motion(20_000))  # building shadows waits for whatever else runs on the machine
     with NodeProcess(tmp_path, params), Client() as client:
         client.connect()
         client.offer('joint_states', 'joint_accelerations', 'wrench')
