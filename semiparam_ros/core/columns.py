@@ -395,8 +395,9 @@ class CoupledColumns:
         before = state._replace(stamp=now - APPROACH_NS, position=start)
         acting, own = self._desired
         shown = acting._after(before, state, origin)
-        needed = shown.copy() if own is None else own._after(before, state, origin)
+        needed = shown if own is None else own._after(before, state, origin)
         if self.body.outputs == 'wrench':  # that of an effort is needed to hold the joint
+            needed = needed.copy()
             needed[:, self.blocks['offset']] = 0.0
         return shown, needed
 

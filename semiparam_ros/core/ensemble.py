@@ -17,14 +17,14 @@ import numpy as np
 
 from semiparam_ros.core.carry_over import CarryOver
 from semiparam_ros.core.columns import CoupledColumns
-from semiparam_ros.core.compiled import Matrix, compiled
+from semiparam_ros.core.compiled import Integers, Matrix, Vector, compiled
 from semiparam_ros.core.horizon_error import AveragedHorizons, HorizonErrors
 from semiparam_ros.core.initial_window import InitialWindow
 from semiparam_ros.core.learnt_inputs import LearntInputs
 from semiparam_ros.core.mixture import shares, student, weigh
 from semiparam_ros.core.model import ModelOptions
 from semiparam_ros.core.online_model import ModelState, OnlineModel
-from semiparam_ros.core.opinion_pool import pool_both, pool_together, pool_weights
+from semiparam_ros.core.opinion_pool import pool_both, pool_desired
 from semiparam_ros.core.prediction import DesiredOutputs, Observed, Prediction
 from semiparam_ros.core.types import Array, Indices, Stamps
 from semiparam_ros.errors import SemiparamError
@@ -60,6 +60,7 @@ class Ensemble:
 
     def __init__(self, models: Sequence[OnlineModel], columns: CoupledColumns, options: ModelOptions) -> None:
         self.models, self._columns = tuple(models), columns
+        self._without_features = np.flatnonzero([each.model.features is None for each in models])
         self._without_effects = next((each.columns for each in models if not each.columns.effects), columns)
         n_models, n_outputs = len(self.models), columns.body.n_outputs
         self._log_weights = np.zeros((n_models, n_outputs))
@@ -237,38 +238,28 @@ class Ensemble:
         found = [each.predict_desired(x, *((shown, needed) if each.columns.effects else plain), share)
                  for each, share in zip(self.models, known.tolist(), strict=True)]
         noise = np.array([each.model.noise_std for each in self.models])
-        beyond = ELSEWHERE**2 * self.carried.expected(noise)**2 - noise**2
         covariances = np.array([each.covariance for each in found])
-        covariances += beyond[:, :, None] * np.eye(len(noise[0]))
-        weights, of_blocks = self._weights_elsewhere(known), self._weights_elsewhere()
-        means = np.array([each.shown for each in found])
-        mean, covariance = pool_together(weights, means, covariances, of_blocks)
-        std = np.sqrt(covariances.diagonal(axis1=1, axis2=2))
-        needed = (pool_weights(weights, std) * np.array([each.needed for each in found])).sum(axis=0)
-        ratio = pool_weights(of_blocks, std).mean(axis=1) @ [each.variance_ratio for each in found]
-        return DesiredOutputs(mean, needed, covariance, float(ratio))
+        beyond = ELSEWHERE**2 * self.carried.expected(noise)**2 - noise**2
+        covariances.reshape(len(found), -1)[:, ::len(noise[0]) + 1] += beyond
+        return DesiredOutputs(*pool_desired(
+            self._weights_elsewhere(known), self._weights_elsewhere(), np.array([each.shown for each in found]),
+            np.array([each.needed for each in found]), covariances, np.array([each.variance_ratio for each in found])))
 
     def _weights_elsewhere(self, known: Array | None = None) -> Array:
         """(K, n) by the errors on blocks that were left out. Before the first of these, features
         are not taken to know anything elsewhere: the models without any weigh by their evidence,
         where there are such.
 
-        :param known: (K,) of each model at a state; None: all. A model is as likely beforehand, and
-            by the root of it the errors on blocks are its own; else those of the best without
-            features are.
+        :param known: (K,) of each model at a state; None: all.
         """
-        without = np.array([each.model.features is None for each in self.models])
         if not len(self.carried.squares):
-            weights = self.weights * (without | ~without.any())[:, None]
+            chosen = self._without_features if len(self._without_features) else np.arange(len(self.models))
+            weights = np.zeros(self.weights.shape)
+            weights[chosen] = self.weights[chosen]
             return np.asarray(weights / weights.sum(axis=0))
-        log_weights = self.carried.log_weights
-        if known is not None and without.any():
-            alike, likely = np.sqrt(known)[:, None], known / len(known)
-            likely[without] += (1.0 - likely.sum()) / without.sum()
-            log_weights = alike * log_weights + (1.0 - alike) * log_weights[without].max(axis=0)
-            with np.errstate(divide='ignore'):
-                log_weights += np.log(likely)[:, None]
-        return shares(log_weights - log_weights.max(axis=0))
+        if known is None or not len(self._without_features):
+            return shares(self.carried.log_weights)
+        return weigh_elsewhere(self.carried.log_weights, known, self._without_features)
 
     def state(self) -> tuple[tuple[ModelState, ...], dict[str, Array | Stamps], dict[str, Array | Stamps]]:
         """Copies of what each model has learnt, of the errors of left-out blocks, and of the
@@ -316,3 +307,30 @@ def weigh_models(log_weights: Matrix, errors: Matrix, std: Matrix) -> Matrix:
         for m in range(len(errors)):
             evidence[m, k] = np.log(np.exp(evidence[m, k] - best) + OUTLIER_DENSITY)
     return weigh(log_weights, evidence, EVIDENCE_MEMORY, LEAST_LOG_WEIGHT)
+
+
+@compiled
+def weigh_elsewhere(log_weights: Matrix, known: Vector, without: Integers) -> Matrix:
+    """(K, n) weights at a state of whose features so much (K,) is known, from log weights (K, n) by left-out blocks.
+
+    A model is as likely beforehand, and by the root of it the errors on blocks are its own; else those of the best
+    without features are.
+
+    :param without: numbers of the models without features.
+    """
+    members, n = log_weights.shape
+    likely = known / members
+    rest = (1.0 - likely.sum()) / len(without)
+    for m in without:
+        likely[m] += rest
+    found = np.empty((members, n))
+    for k in range(n):
+        best, most = -np.inf, -np.inf
+        for m in without:
+            best = max(best, log_weights[m, k])
+        for m in range(members):
+            alike = np.sqrt(known[m])
+            found[m, k] = alike * log_weights[m, k] + (1.0 - alike) * best + np.log(likely[m])
+            most = max(most, found[m, k])
+        found[:, k] -= most
+    return shares(found)

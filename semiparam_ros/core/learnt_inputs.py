@@ -19,7 +19,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import cho_factor, cholesky, solve_triangular
 from scipy.linalg.lapack import dtrtrs
 
 from semiparam_ros.core.random_features import RandomFeatures, input_scaling
@@ -47,7 +47,7 @@ class LearntInputs:
     def __init__(self, n_inputs: int, radians: Array | float = 1.0) -> None:
         self._kept, self._radians = np.zeros((ROOM, n_inputs)), radians
         self._count, self._stride, self._passed = 0, 1, 0
-        self._metric: tuple[tuple[int, int], Array, Array, Array, float] | None = None
+        self._metric: tuple[tuple[int, int], Array, Array, float] | None = None
         self._kernels: dict[RandomFeatures, tuple[tuple[int, int], Array]] = {}
 
     def add(self, sample: Sample) -> None:
@@ -69,8 +69,9 @@ class LearntInputs:
             return np.inf
         if self._metric is None or self._metric[0] != (self._used, self._stride):
             self._metric = self._measured(self._used)
-        _, mean, scale, factor, largest = self._metric
-        return float(np.sqrt(_squares((x - mean)[None] / scale, factor)[0]) / largest)
+        _, mean, whitening, largest = self._metric
+        white = whitening @ (x - mean)
+        return float(np.sqrt(white @ white)) / largest
 
     def known(self, x: Array, features: RandomFeatures, noise: float) -> float:
         """Share of the variance of features at a state (m,) that what was learnt takes away, 0 to 1.
@@ -91,12 +92,15 @@ class LearntInputs:
     def _used(self) -> int:
         return self._count - (self._count % RENEWED_EVERY if self._count > RENEWED_EVERY else 0)
 
-    def _measured(self, used: int) -> tuple[tuple[int, int], Array, Array, Array, float]:
+    def _measured(self, used: int) -> tuple[tuple[int, int], Array, Array, float]:
+        """Their number, mean (m,), what whitens (m, m) the difference from it, and the largest distance."""
         kept = self._kept[:used]
         mean, scale = input_scaling(kept, self._radians)
         z = (kept - mean) / scale
-        factor, _ = cho_factor(z.T @ z / len(z) + LEAST_VARIANCE * np.eye(z.shape[1]), lower=True)
-        return (used, self._stride), mean, scale, factor, max(float(np.sqrt(_squares(z, factor).max())), 1.0)
+        factor = cholesky(z.T @ z / len(z) + LEAST_VARIANCE * np.eye(z.shape[1]), lower=True)
+        whitening = solve_triangular(factor, np.diag(1.0 / scale), lower=True)
+        farthest = np.linalg.norm((kept - mean) @ whitening.T, axis=1).max()
+        return (used, self._stride), mean, whitening, max(float(farthest), 1.0)
 
     def state(self) -> dict[str, Array | Stamps]:
         """Copies; :meth:`restore` takes them back bit for bit."""
@@ -113,8 +117,3 @@ class LearntInputs:
         self._kept[:len(kept)], self._count = kept, len(kept)
         self._stride, self._passed, self._metric = int(stride), int(passed), None
         self._kernels = {}
-
-
-def _squares(z: Array, factor: Array) -> Array:
-    """(N,) squared distances of scaled inputs (N, m) from their mean."""
-    return np.asarray(np.einsum('ij,ji->i', z, cho_solve((factor, True), z.T)))

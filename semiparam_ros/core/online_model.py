@@ -89,10 +89,11 @@ class OnlineModel:
         model, recursion, features = self.model, self.model.recursion, self.model.features
         phi = np.zeros(0) if features is None else np.sqrt(known) * features(x)
         prior = model.predict_by(recursion, phi, shown)
-        of_sensor = (shown - needed)[:, model.covered] @ model.theta
-        covariance = prior.covariance + (1.0 - known) * recursion.rho**2 * np.diag(recursion.scale**2)
-        ratio = ((covariance.diagonal() - prior.extra_variance) / (MOST_DEVIATION * model.noise_std) ** 2).max()
-        return DesiredOutputs(prior.mean, prior.mean - of_sensor, covariance, float(ratio))
+        variances = prior.covariance.reshape(-1)[::recursion.n_outputs + 1]
+        variances += (1.0 - known) * recursion.rho**2 * recursion.scale**2
+        ratio = ((variances - prior.extra_variance) / (MOST_DEVIATION * model.noise_std) ** 2).max()
+        own = prior.mean if needed is shown else prior.mean - (shown - needed)[:, model.covered] @ model.theta
+        return DesiredOutputs(prior.mean, own, prior.covariance, float(ratio))
 
     def coefficients(self) -> Coefficients:
         """Coefficients of the model as it stands."""

@@ -18,34 +18,15 @@ from semiparam_ros.core.compiled import Matrix, Stack, Vector, compiled
 from semiparam_ros.core.types import Array
 
 
-def pool_weights(weights: Array, std: Array) -> Array:
-    """(..., K, n) v, one in sum over the K models; w is (..., K, n) and the standard deviations are
-    (K, n)."""
-    shares = weights * (std.min(axis=0) / std) ** 2
-    return np.asarray(shares / shares.sum(axis=-2, keepdims=True))
-
-
-def pool_together(weights: Array, means: Array, covariances: Array,
-                  disagreeing: Array | None = None) -> tuple[Array, Array]:
-    """(n,) mean and (n, n) covariance of the pool, from (K, n), (K, n) and (K, n, n); its diagonal
-    has the variances.
-
-    Between outputs that weigh differently the geometric mean weighs, which keeps the matrix
-    positive definite.
-
-    :param disagreeing: (K, n) weights by which the models' disagreement counts; ``weights`` unless given.
-    """
-    std = np.sqrt(covariances.diagonal(axis1=1, axis2=2))
-    shares = pool_weights(weights, std)
-    roots, mean = np.sqrt(shares), (shares * means).sum(axis=0)
-    apart = (roots if disagreeing is None else np.sqrt(pool_weights(disagreeing, std))) * (means - mean)
-    return mean, np.einsum('mk,mkj,mj->kj', roots, covariances, roots) + apart.T @ apart
-
-
 def pool_both(weights: Array, means: Array, std: Array, model_means: Array,
               covariances: Array) -> tuple[Array, Array, Array, Array]:
-    """(n,) mean and standard deviation of what is published, and :func:`pool_together` of the
-    models alone."""
+    """(n,) mean and standard deviation of what is published, and (n,) mean and (n, n) covariance of the models alone.
+
+    The diagonal of the covariance has the variances. Between outputs that weigh differently the geometric mean weighs,
+    which keeps it positive definite.
+
+    :param weights: (K, n); means and standard deviations are (K, n), covariances (K, n, n).
+    """
     mean, spread, model_mean, covariance = *np.empty((3, means.shape[1])), np.empty(covariances.shape[1:])
     _pool_both(weights, means, std, model_means, covariances, mean, spread, model_mean, covariance)
     return mean, spread, model_mean, covariance
@@ -80,3 +61,45 @@ def _pool_both(weights: Matrix, means: Matrix, std: Matrix, model_means: Matrix,
             for m in range(members):
                 apart = (model_means[m, k] - model_mean[k]) * (model_means[m, j] - model_mean[j])
                 covariance[k, j] += roots[m, k] * roots[m, j] * (covariances[m, k, j] + apart)
+
+
+def pool_desired(weights: Array, disagreeing: Array, shown: Array, needed: Array, covariances: Array,
+                 ratios: Array) -> tuple[Array, Array, Array, float]:
+    """(n,) means of what is shown and of what is needed, (n, n) covariance of the former, and mean of the ratios (K,).
+
+    :param disagreeing: (K, n) weights by which the models' disagreement counts, and their ratios.
+    """
+    mean, own, covariance = *np.empty((2, shown.shape[1])), np.empty(covariances.shape[1:])
+    ratio = _pool_desired(weights, disagreeing, shown, needed, covariances, ratios, mean, own, covariance)
+    return mean, own, covariance, ratio
+
+
+@compiled
+def _pool_desired(weights: Matrix, disagreeing: Matrix, shown: Matrix, needed: Matrix, covariances: Stack,
+                  ratios: Vector, mean: Vector, own: Vector, covariance: Matrix) -> float:
+    """See :func:`pool_desired`."""
+    members, n = shown.shape
+    roots, apart, ratio = np.empty((members, n)), np.empty((members, n)), 0.0
+    for k in range(n):
+        least, total, total_apart = covariances[:, k, k].min(), 0.0, 0.0
+        for m in range(members):
+            certainty = least / covariances[m, k, k]
+            roots[m, k], apart[m, k] = weights[m, k] * certainty, disagreeing[m, k] * certainty
+            total += roots[m, k]
+            total_apart += apart[m, k]
+        mean[k] = own[k] = 0.0
+        for m in range(members):
+            roots[m, k] /= total
+            mean[k] += roots[m, k] * shown[m, k]
+            own[k] += roots[m, k] * needed[m, k]
+            roots[m, k] = np.sqrt(roots[m, k])
+        for m in range(members):
+            apart[m, k] /= total_apart
+            ratio += apart[m, k] * ratios[m] / n
+            apart[m, k] = np.sqrt(apart[m, k]) * (shown[m, k] - mean[k])
+    for k in range(n):
+        for j in range(n):
+            covariance[k, j] = 0.0
+            for m in range(members):
+                covariance[k, j] += roots[m, k] * roots[m, j] * covariances[m, k, j] + apart[m, k] * apart[m, j]
+    return ratio

@@ -55,9 +55,7 @@ class RandomFeatures:
 
     def kernel(self, x: Array, others: Array) -> Array:
         """(N, M) what phi(x)'phi(x') tends to with ever more features, of inputs (N, m) and (M, m)."""
-        x, others = x / self._divisor, others / self._divisor
-        squares = (x**2).sum(axis=1)[:, None] + (others**2).sum(axis=1) - 2.0 * x @ others.T
-        return np.exp(-0.5 * squares.clip(0.0))
+        return _kernel(np.ascontiguousarray(x), np.ascontiguousarray(others), 1.0 / self._divisor)
 
     def _check(self, n_inputs: int) -> None:
         if not len(self.input_mean) == len(self.input_scale) == n_inputs:
@@ -68,6 +66,18 @@ class RandomFeatures:
                 raise SemiparamError(f'the {name} of the features are {values.tolist()}; expected positive numbers.')
         if not np.isfinite(self.input_mean).all():
             raise SemiparamError(f'the input mean of the features is {self.input_mean.tolist()}; expected numbers.')
+
+
+@compiled
+def _kernel(x: Matrix, others: Matrix, factors: Vector) -> Matrix:
+    """(N, M) of inputs (N, m) and (M, m), times factors (m,)."""
+    squares = np.zeros((len(x), len(others)))
+    for i in range(len(x)):
+        for j in range(len(others)):
+            for c in range(len(factors)):
+                apart = (x[i, c] - others[j, c]) * factors[c]
+                squares[i, j] += apart * apart
+    return np.exp(-0.5 * squares)
 
 
 @compiled

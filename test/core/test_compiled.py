@@ -70,8 +70,15 @@ def test_an_average(members):
         for found, theirs in zip((log_weights, weights), expected, strict=True):
             np.testing.assert_allclose(found, theirs, **TOLERANCE)
         given = weights, means, std, model_means, roots @ roots.swapaxes(1, 2)
-        for found, theirs in zip(opinion_pool.pool_both(*given), plain.pool_both(*given), strict=True):
-            np.testing.assert_allclose(found, theirs, **TOLERANCE)
+        desired = (weights, np.ascontiguousarray(rng.dirichlet(np.ones(members), N).T), means, model_means, given[-1],
+                   rng.uniform(0.0, 3.0, members))
+        for name, arrays in (('pool_both', given), ('pool_desired', desired)):
+            for found, theirs in zip(getattr(opinion_pool, name)(*arrays), getattr(plain, name)(*arrays), strict=True):
+                np.testing.assert_allclose(found, theirs, **TOLERANCE)
+        known = rng.uniform(0.0, 1.0, members)
+        known[0] = 1.0
+        np.testing.assert_allclose(ensemble.weigh_elsewhere(log_weights, known, np.array([0])),
+                                   plain.weigh_elsewhere(log_weights, known, np.array([0])), **TOLERANCE)
 
 
 @pytest.mark.parametrize(('features', 'columns', 'decay'), [(20, 9, DECAY), (20, 0, NO_OFFSETS), (0, 9, DECAY)])

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from semiparam_ros.core.horizon_error import AveragedHorizons, HorizonIndex, force_and_torque
-from semiparam_ros.core.opinion_pool import pool_weights
 from semiparam_ros.core.recursion import SemiParametricRecursion, Update
 from semiparam_ros.errors import SemiparamError
+from support.plain_forms import pool_weights
 
 N, D, P = 6, 12, 5
 

@@ -8,7 +8,6 @@ from semiparam_ros.core import band_calibration, wandering_offset
 from semiparam_ros.core.band_calibration import MEMORIES
 from semiparam_ros.core.input_range import LEAST_RANGE
 from semiparam_ros.core.mixture import DEGREES
-from semiparam_ros.core.opinion_pool import pool_together, pool_weights
 from semiparam_ros.core.random_features import LEAST_SHARE
 from semiparam_ros.core.wandering_offset import DECAY, PACES
 from semiparam_ros.effects.hysteresis import MOST_APART, PARTS
@@ -85,6 +84,37 @@ def learn(recursion, prior, outputs):
     rows = np.hstack([rows[:, -2::-1], rows[:, -1:]])
     r = np.linalg.qr(np.vstack([regression.information, rows]), mode='r')
     return solve_triangular(r[:-1, :-1], r[:-1, -1])[::-1], innovations
+
+
+def pool_weights(weights, std):
+    """(..., K, n) v, one in sum over the K models; w is (..., K, n) and the standard deviations are (K, n)."""
+    shares = weights * (std.min(axis=0) / std) ** 2
+    return shares / shares.sum(axis=-2, keepdims=True)
+
+
+def pool_together(weights, means, covariances, disagreeing=None):
+    """(n,) mean and (n, n) covariance of the pool; ``disagreeing``: weights by which the disagreement counts."""
+    std = np.sqrt(covariances.diagonal(axis1=1, axis2=2))
+    shares = pool_weights(weights, std)
+    roots, mean = np.sqrt(shares), (shares * means).sum(axis=0)
+    apart = (roots if disagreeing is None else np.sqrt(pool_weights(disagreeing, std))) * (means - mean)
+    return mean, np.einsum('mk,mkj,mj->kj', roots, covariances, roots) + apart.T @ apart
+
+
+def pool_desired(weights, disagreeing, shown, needed, covariances, ratios):
+    std = np.sqrt(covariances.diagonal(axis1=1, axis2=2))
+    ratio = pool_weights(disagreeing, std).mean(axis=1) @ ratios
+    mean, covariance = pool_together(weights, shown, covariances, disagreeing)
+    return mean, (pool_weights(weights, std) * needed).sum(axis=0), covariance, ratio
+
+
+def weigh_elsewhere(log_weights, known, without):
+    """(K, n) weights at a state; ``without``: numbers of the models without features."""
+    alike, likely = np.sqrt(known)[:, None], known / len(known)
+    likely[without] += (1.0 - likely.sum()) / len(without)
+    log_weights = alike * log_weights + (1.0 - alike) * log_weights[without].max(axis=0) + np.log(likely)[:, None]
+    weights = np.exp(log_weights - log_weights.max(axis=0))
+    return weights / weights.sum(axis=0)
 
 
 def pool(weights, means, std):
