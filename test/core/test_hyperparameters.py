@@ -75,9 +75,11 @@ def test_slow_noise_tells_as_much_as_so_many_samples_of_white_noise(alike):
     assert integrated_autocorrelation_time(columns, 0.0, memory) == 1.0
 
 
-@pytest.mark.parametrize(('memory', 'true', 'counts'), [(40.0, 0.1, True), (None, 0.1, False), (40.0, 30.0, False)])
+@pytest.mark.parametrize(('memory', 'true', 'counts'), [(40.0, 0.1, True), (40.0, 0.3, True), (None, 0.1, False),
+                                                        (40.0, 30.0, False)])
 def test_noise_that_is_alike_for_long_is_learnt_as_fewer_samples(memory, true, counts):
-    """But where the prior is far off samples count whole, and so they do under white noise."""
+    """Also where left-out parts do not tell. But where the prior is far off samples count whole, and so they do under
+    white noise."""
     rng, steps, n = np.random.default_rng(2), 600, 3
     time = np.arange(steps)[:, None] / rng.uniform(80.0, 400.0, n * 4)
     coupled = np.sin(2.0 * np.pi * time).reshape(steps, n, 4) + 0.02 * rng.standard_normal((steps, n, 4))

@@ -8,7 +8,7 @@ same variance (the integrated autocorrelation time; Newey and West 1987):
 
 with the autocorrelations rho_e of the noise and rho_x of the columns, as far as that is positive.
 A sample that counts 1 / r leaves more to the prior, which may be wrong. So r counts as far as it
-helps on parts of the window that are left out (SafeBayes; Gruenwald and van Ommen 2017).
+does not harm on parts of the window that are left out (SafeBayes; Gruenwald and van Ommen 2017).
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ FOLDS = 5
 
 
 def autocorrelation_time(window: Window, at: Point) -> float:
-    """Return the one of 1, the root of r and r that predicts the left-out parts best, of a rigid body with
-    physical priors; 1 where that is within a standard error (Breiman et al. 1984)."""
+    """Return the largest of 1, the root of r and r that predicts the left-out parts as well as the best of them, within
+    a standard error (Breiman et al. 1984), of a rigid body with physical priors."""
     most = integrated_autocorrelation_time(window.coupled * window.prior_scale, at.kappa, at.memory)
     tried = np.array([1.0, np.sqrt(most), most])
     scale = at.sigma * np.sqrt(1.0 + at.kappa) * at.output_scale
@@ -40,9 +40,9 @@ def autocorrelation_time(window: Window, at: Point) -> float:
         for number, r in enumerate(tried):
             theta = np.linalg.lstsq(gram + r * np.eye(len(gram)), moment, rcond=None)[0]  # singular to rounding
             losses[number, fold] = np.log(np.mean((y - x @ theta) ** 2))
-    best = int(losses.mean(axis=1).argmin())
-    gained = losses[0] - losses[best]
-    return float(tried[best]) if gained.mean() > gained.std() / np.sqrt(FOLDS - 1.0) else 1.0
+    worse = losses - losses[losses.mean(axis=1).argmin()]
+    as_good = worse.mean(axis=1) <= worse.std(axis=1) / np.sqrt(FOLDS - 1.0)
+    return float(tried[as_good].max())
 
 
 def integrated_autocorrelation_time(columns: Array, kappa: float, memory: float) -> float:
