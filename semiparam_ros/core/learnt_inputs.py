@@ -19,7 +19,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from scipy.linalg import cho_factor, cholesky, solve_triangular
+from scipy.linalg import cholesky, solve_triangular
 from scipy.linalg.lapack import dtrtrs
 
 from semiparam_ros.core.random_features import RandomFeatures, input_scaling
@@ -84,7 +84,7 @@ class LearntInputs:
         if self._kernels.get(features, (None,))[0] != version:
             self._kernels = {each: held for each, held in self._kernels.items() if held[0] == version}
             covariance = features.kernel(kept, kept) + (noise / self._stride + ROUNDING) * np.eye(len(kept))
-            self._kernels[features] = version, cho_factor(covariance, lower=True)[0]
+            self._kernels[features] = version, cholesky(covariance, lower=True)
         white, _ = dtrtrs(self._kernels[features][1], features.kernel(x[None], kept)[0], lower=1)
         return min(float(white @ white), 1.0)
 
