@@ -292,6 +292,10 @@ class Followed:
     def _moment(self) -> Array:
         return np.asarray(self._moments[self.cause.part])
 
+    def among(self, blocks: Iterable[MotionBlock]) -> list[tuple[int, MotionBlock]]:
+        """Those of the blocks that it acts in, with their places."""
+        return [(row, block) for row, block in enumerate(blocks) if block.start >= self.change.since]
+
     def fit(self, cause: Cause) -> CauseFit:
         """Fit with which another cause explains all blocks since it began."""
         part = cause.part
@@ -677,9 +681,8 @@ class ChangeDetector:
         """(B, K) h of each block, without what a change explains."""
         moments = np.array([block.moment for block in self._blocks])
         if followed is not None:
-            for moment, block in zip(moments, self._blocks, strict=True):
-                if block.start >= followed.change.since:
-                    moment -= block.gram[:, followed.cause.part] @ followed.theta
+            for row, block in followed.among(self._blocks):
+                moments[row] -= block.gram[:, followed.cause.part] @ followed.theta
         return moments
 
     def _noise_of(self, length: int) -> float:
@@ -773,11 +776,12 @@ class ChangeDetector:
             CauseFit.of(cause, grams[:, cause.part, cause.part], sums[:, cause.part])
             for cause in self.causes
         ]
-        unchanged = self._learning(grams, sums)
+        root = self._root_unlearnt()
+        unchanged = self._learning(root, grams, sums)
         brief = np.maximum(starts, now - LASTING)  # what began before is no contact, if it acts yet
         contact = self._without(self._blocks, followed)
         kappa = self._noise_left(_since(power, starts), (unchanged, *fits), starts, brief, contact)
-        familiar, elsewhere = self._learnt_better(unchanged, blocks, moments, starts, kappa)
+        familiar, elsewhere = self._learnt_better(root, unchanged, blocks, moments, starts, kappa)
         learning = np.logaddexp(familiar, elsewhere) - log(2.0)
         known = self._known(starts, power, followed) / (2.0 * kappa)
         alone = np.array([fit.evidence(kappa) - fit.cause.price for fit in fits])
@@ -846,25 +850,24 @@ class ChangeDetector:
         gained = np.zeros(len(self._blocks))
         if followed is not None:
             part, theta = followed.cause.part, followed.theta
-            for row, block in enumerate(self._blocks):
-                if block.start >= followed.change.since:
-                    gained[row] = theta @ (
-                        2.0 * block.moment[part] - block.gram[part, part] @ theta
-                    )
+            for row, block in followed.among(self._blocks):
+                gained[row] = theta @ (2.0 * block.moment[part] - block.gram[part, part] @ theta)
         return gained
 
-    def _learning(self, grams: Array, sums: Array) -> CauseFit:
-        """Fit with which coefficients that the model knows no better, of covariance P, explain windows
-        with these sums."""
-        part = self._own_part
+    def _root_unlearnt(self) -> Array:
+        """(q, q) root of P, the covariance of coefficients that the model knows no better."""
         values, vectors = np.linalg.eigh(self._covariance)
-        root = vectors * np.sqrt(np.maximum(values, 0.0))
+        return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
+
+    def _learning(self, root: Array, grams: Array, sums: Array) -> CauseFit:
+        """Fit with which such coefficients explain windows with these sums."""
+        part = self._own_part
         return CauseFit.of(
             LEARNING, root.T @ grams[:, part[:, None], part] @ root, sums[:, part] @ root
         )
 
     def _learnt_better(
-        self, unchanged: CauseFit, grams: Array, moments: Array, starts: Indices, kappa: Array
+        self, root: Array, unchanged: CauseFit, grams: Array, moments: Array, starts: Indices, kappa: Array
     ) -> tuple[Array, Array]:
         """(S,) log evidence of what the model did not know any better, under noise kappa (S,), of windows of blocks
         (B, ...) since some starts; and the same where it knew little of those unlike all that it had learnt."""
@@ -873,7 +876,7 @@ class ChangeDetector:
         if not unlike.any():
             return familiar, familiar
         rest, other = (
-            self._learning(*(_since((share * values.T).T, starts) for values in (grams, moments)))
+            self._learning(root, *(_since((share * values.T).T, starts) for values in (grams, moments)))
             for share in (1.0 - unlike, unlike)
         )
         unknown = [other.evidence(kappa, times * kappa[:, None]) for times in WIDER]
@@ -885,10 +888,9 @@ class ChangeDetector:
         own, moments = np.array([block.own for block in blocks]), np.array([block.wrench[1] for block in blocks])
         if followed is not None:
             part, theta = followed.cause.part, followed.theta
-            for row, block in enumerate(blocks):
-                if block.start >= followed.change.since:
-                    own[row, 3:5] -= block.along[:, :, part] @ theta
-                    moments[row] -= block.wrench[2][:, part] @ theta
+            for row, block in followed.among(blocks):
+                own[row, 3:5] -= block.along[:, :, part] @ theta
+                moments[row] -= block.wrench[2][:, part] @ theta
         return ContactSums(own, np.array([block.wrench[0] for block in blocks]), moments)
 
     def _acting(self, sums: ContactSums, kappa: Array, ends: Sequence[int]) -> Array:

@@ -12,8 +12,6 @@ from semiparam_ros.online.learner import Learner
 FARTHEST_VALID = 2.0
 """Distance from what was learnt, over the largest in it. Of 23 pairs of motions states below have .5 % of errors beyond
 three standard deviations at most; where an arm learns its friction wrongly, for it moves in one way, it is four."""
-LARGEST_VARIANCE_RATIO = 1.0
-"""Where an answer is more than twice as uncertain as the noise, the model has not learnt enough about the state."""
 
 MARKS = {'described': 'answered by the robot description alone',
          'limited': 'cut to the effort limits of the robot description',
@@ -75,9 +73,9 @@ class Feedforward:
 
 
 def is_doubtful(found: Desired) -> bool:
-    """Tell whether the model has learnt too little about the state to be followed without a
-    check."""
-    return found.distance > FARTHEST_VALID or found.variance_ratio > LARGEST_VARIANCE_RATIO
+    """Tell whether the model has learnt too little about the state to be followed without a check: it is far from
+    what was learnt, or the answer is more uncertain than one may be."""
+    return found.distance > FARTHEST_VALID or found.variance_ratio > 1.0
 
 
 FARTHEST = 1e9

@@ -247,9 +247,10 @@ def test_blocks_alike_count_as_they_are_beside_others_that_tell_nothing():
     detector._blocks.extend([block._replace(moment=10.0 * block.moment) for block in blocks[:-8]] + nothing)
     grams, moments = (np.array([getattr(block, name) for block in detector._blocks]) for name in ('gram', 'moment'))
     starts, kappa = np.arange(0, len(blocks), 4), np.full(len(range(0, len(blocks), 4)), detector.noise)
-    unchanged = detector._learning(*(np.array([values[start:].sum(axis=0) for start in starts])
-                                     for values in (grams, moments)))
-    familiar, elsewhere = detector._learnt_better(unchanged, grams, moments, starts, kappa)
+    root = detector._root_unlearnt()
+    unchanged = detector._learning(root, *(np.array([values[start:].sum(axis=0) for start in starts])
+                                           for values in (grams, moments)))
+    familiar, elsewhere = detector._learnt_better(root, unchanged, grams, moments, starts, kappa)
     assert np.abs(familiar).max() > 1.0
     np.testing.assert_allclose(elsewhere, familiar, atol=1e-9)
 

@@ -21,7 +21,7 @@ from scipy.special import log_ndtr
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.robot.size import inertial_scale
 from semiparam_ros.core.samples import Samples
-from semiparam_ros.core.types import Array
+from semiparam_ros.core.types import Array, Indices
 from semiparam_ros.diagnosis.config import DiagnosisConfig
 
 
@@ -58,14 +58,14 @@ class Equations:
         return self.columns @ self.mean
 
     @cached_property
-    def free(self) -> Array:
+    def free(self) -> Indices:
         """Places of the nuisances."""
         return np.flatnonzero(np.diag(self.precision) == 0.0)
 
     @cached_property
-    def channel(self) -> Array:
+    def channel(self) -> Indices:
         """Channel that each nuisance shows in most."""
-        return np.abs(self.columns[:, :, self.free]).max(axis=0).argmax(axis=0)
+        return np.asarray(np.abs(self.columns[:, :, self.free]).max(axis=0).argmax(axis=0))
 
     @cached_property
     def known(self) -> tuple[Array, float]:
