@@ -293,7 +293,7 @@ class Followed:
         return np.asarray(self._moments[self.cause.part])
 
     def among(self, blocks: Iterable[MotionBlock]) -> list[tuple[int, MotionBlock]]:
-        """Those of the blocks that it acts in, with their places."""
+        """Blocks that it acts in, with their places."""
         return [(row, block) for row, block in enumerate(blocks) if block.start >= self.change.since]
 
     def fit(self, cause: Cause) -> CauseFit:
