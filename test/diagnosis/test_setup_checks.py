@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.signal import lfilter
+from scipy.special import log_ndtr
 
 from conftest import SHARED_DATA
 from semiparam_ros.bags.reader import open_bag
@@ -23,7 +24,7 @@ from semiparam_ros.diagnosis.diagnose import diagnose
 from semiparam_ros.diagnosis.preparation import BUT_ACCELERATIONS, Inputs, bursts, late, measured_lags
 from semiparam_ros.diagnosis.setup.checks import layout_problems, setup_problems
 from semiparam_ros.diagnosis.setup.identifiability import unidentifiable
-from semiparam_ros.diagnosis.setup.prior_misfit import equations, evidence, independent
+from semiparam_ros.diagnosis.setup.prior_misfit import channel_scale, equations, evidence, independent
 from semiparam_ros.effects import effect_from_text
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.experiments.scoreboard import body_of, samples_of
@@ -46,6 +47,37 @@ from support.arms import (
 UR3 = ('shoulder_pan_joint', 'shoulder_lift_joint', 'elbow_joint', 'wrist_1_joint', 'wrist_2_joint', 'wrist_3_joint')
 ICUB, DEGREES = ICUB_JOINTS, 180.0 / np.pi
 ROLES = ('position', 'velocity', 'acceleration')
+
+
+@pytest.mark.parametrize('outputs', ['wrench', 'effort'])
+@pytest.mark.parametrize('factor', [1.0, 7.0])
+def test_the_evidence_is_that_of_its_formula_in_the_units_of_the_parameters(outputs, factor):
+    body, samples = simulated(outputs)
+    measured = samples.outputs * np.where(np.arange(body.n_outputs) == 1, factor, 1.0)
+    equal = equations(body, samples, DEFAULTS)
+    found = evidence(equal, measured, 0.3)
+    log, change = _plain_evidence(equal, measured, 0.3)
+    np.testing.assert_allclose(found.log, log, rtol=1e-9)
+    np.testing.assert_allclose(found.change, change, rtol=1e-5, atol=1e-9 * np.abs(change).max())
+
+
+def _plain_evidence(equal, outputs, share):
+    columns, deviation = equal.columns, channel_scale(outputs, not len(equal.power))
+    size, nuisance = np.sqrt(np.mean(columns**2, axis=0).max(axis=0)), np.diag(equal.precision) == 0.0
+    largest = deviation[np.abs(columns).max(axis=0).argmax(axis=0)]
+    precision = equal.precision + np.diag(np.where(nuisance, (size / largest)**2, 0.0))
+    left, noise = outputs - columns @ equal.mean, deviation
+    for _ in range(DEFAULTS.rounds):
+        weighed = columns * (share / noise**2)[:, None]
+        information = np.einsum('tna,tnb->ab', weighed, columns) + precision
+        change = np.linalg.solve(information, np.einsum('tna,tn->a', weighed, left))
+        noise = np.sqrt(np.mean((left - columns @ change)**2, axis=0) + DEFAULTS.model_error * deviation**2)
+    log = -share * len(left) * np.log(noise).sum() - 0.5 * change @ precision @ change
+    log += 0.5 * (np.linalg.slogdet(precision)[1] - np.linalg.slogdet(information)[1])
+    power = equal.power
+    variance = np.einsum('na,na->n', power, np.linalg.solve(information, power.T).T)
+    variance += DEFAULTS.model_error * (deviation[:len(power)] * equal.speed)**2
+    return log + np.sum(np.log(2.0) + log_ndtr(power @ change / np.sqrt(variance))), change
 
 
 @cache

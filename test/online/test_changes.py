@@ -92,6 +92,19 @@ def test_a_load_is_noticed_within_a_second_and_so_is_its_end():
     assert detector.followed is None
 
 
+def test_a_change_acts_in_no_block_from_before_it_began():
+    body, samples, _ = loaded()
+    detector = told(body, samples[samples.time < LOADED_S[0] + 3.0])[2]
+    followed, blocks = detector.followed, list(detector._blocks)
+    acts = np.array([block.start >= followed.change.since for block in blocks])
+    assert 4 < acts.sum() < len(acts) - 4
+    moments, wrenches = (np.array(part) for part in zip(*((block.moment, block.wrench[1]) for block in blocks), strict=True))
+    taken_off = (detector._left(followed) - moments, detector._without(blocks, followed).moments - wrenches,
+                 detector._gained(followed)[:, None])
+    for each in taken_off:
+        np.testing.assert_array_equal(np.abs(each).max(axis=1) > 0.0, acts)
+
+
 def test_a_small_load_that_the_model_learns_meanwhile_is_there_until_it_is_put_down():
     """Of 25 g; over when its first values, of half a second, predicted worse than none did."""
     body, samples, _ = loaded()
