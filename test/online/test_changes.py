@@ -98,7 +98,7 @@ def test_a_change_acts_in_no_block_from_before_it_began():
     followed, blocks = detector.followed, list(detector._blocks)
     acts = np.array([block.start >= followed.change.since for block in blocks])
     assert 4 < acts.sum() < len(acts) - 4
-    moments, wrenches = (np.array(part) for part in zip(*((block.moment, block.wrench[1]) for block in blocks), strict=True))
+    moments, wrenches = np.array([block.moment for block in blocks]), np.array([block.wrench[1] for block in blocks])
     taken_off = (detector._left(followed) - moments, detector._without(blocks, followed).moments - wrenches,
                  detector._gained(followed)[:, None])
     for each in taken_off:
