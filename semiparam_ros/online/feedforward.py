@@ -74,7 +74,7 @@ class Feedforward:
 
 def is_doubtful(found: Desired) -> bool:
     """Tell whether the model has learnt too little about the state to be followed without a check: it is far from
-    what was learnt, or the answer is more uncertain than one may be."""
+    what was learnt, or the answer more than twice as uncertain as the noise."""
     return found.distance > FARTHEST_VALID or found.variance_ratio > 1.0
 
 

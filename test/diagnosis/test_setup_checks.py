@@ -49,37 +49,6 @@ ICUB, DEGREES = ICUB_JOINTS, 180.0 / np.pi
 ROLES = ('position', 'velocity', 'acceleration')
 
 
-@pytest.mark.parametrize('outputs', ['wrench', 'effort'])
-@pytest.mark.parametrize('factor', [1.0, 7.0])
-def test_the_evidence_is_that_of_its_formula_in_the_units_of_the_parameters(outputs, factor):
-    body, samples = simulated(outputs)
-    measured = samples.outputs * np.where(np.arange(body.n_outputs) == 1, factor, 1.0)
-    equal = equations(body, samples, DEFAULTS)
-    found = evidence(equal, measured, 0.3)
-    log, change = _plain_evidence(equal, measured, 0.3)
-    np.testing.assert_allclose(found.log, log, rtol=1e-9)
-    np.testing.assert_allclose(found.change, change, rtol=1e-5, atol=1e-9 * np.abs(change).max())
-
-
-def _plain_evidence(equal, outputs, share):
-    columns, deviation = equal.columns, channel_scale(outputs, not len(equal.power))
-    size, nuisance = np.sqrt(np.mean(columns**2, axis=0).max(axis=0)), np.diag(equal.precision) == 0.0
-    largest = deviation[np.abs(columns).max(axis=0).argmax(axis=0)]
-    precision = equal.precision + np.diag(np.where(nuisance, (size / largest)**2, 0.0))
-    left, noise = outputs - columns @ equal.mean, deviation
-    for _ in range(DEFAULTS.rounds):
-        weighed = columns * (share / noise**2)[:, None]
-        information = np.einsum('tna,tnb->ab', weighed, columns) + precision
-        change = np.linalg.solve(information, np.einsum('tna,tn->a', weighed, left))
-        noise = np.sqrt(np.mean((left - columns @ change)**2, axis=0) + DEFAULTS.model_error * deviation**2)
-    log = -share * len(left) * np.log(noise).sum() - 0.5 * change @ precision @ change
-    log += 0.5 * (np.linalg.slogdet(precision)[1] - np.linalg.slogdet(information)[1])
-    power = equal.power
-    variance = np.einsum('na,na->n', power, np.linalg.solve(information, power.T).T)
-    variance += DEFAULTS.model_error * (deviation[:len(power)] * equal.speed)**2
-    return log + np.sum(np.log(2.0) + log_ndtr(power @ change / np.sqrt(variance))), change
-
-
 @cache
 def simulated(outputs='wrench', kind=None, motion='fourier', seed=0, samples=1000, rate_hz=20.0, urdf=None,
               masses=True):
@@ -687,3 +656,34 @@ def test_a_balancer_is_no_wrong_sign(joint, stiffness, seed):
     angle = samples.position[:, joint]
     outputs[:, joint] += stiffness * (angle - angle.mean())
     assert setup_problems(ODD_BODY, replace(samples, outputs=outputs)) == []
+
+
+@pytest.mark.parametrize('outputs', ['wrench', 'effort'])
+@pytest.mark.parametrize('factor', [1.0, 7.0])
+def test_the_evidence_is_that_of_its_formula_in_the_units_of_the_parameters(outputs, factor):
+    body, samples = simulated(outputs)
+    measured = samples.outputs * np.where(np.arange(body.n_outputs) == 1, factor, 1.0)
+    equal = equations(body, samples, DEFAULTS)
+    found = evidence(equal, measured, 0.3)
+    log, change = _plain_evidence(equal, measured, 0.3)
+    np.testing.assert_allclose(found.log, log, rtol=1e-9)
+    np.testing.assert_allclose(found.change, change, rtol=1e-5, atol=1e-9 * np.abs(change).max())
+
+
+def _plain_evidence(equal, outputs, share):
+    columns, deviation = equal.columns, channel_scale(outputs, not len(equal.power))
+    size, nuisance = np.sqrt(np.mean(columns**2, axis=0).max(axis=0)), np.diag(equal.precision) == 0.0
+    largest = deviation[np.abs(columns).max(axis=0).argmax(axis=0)]
+    precision = equal.precision + np.diag(np.where(nuisance, (size / largest)**2, 0.0))
+    left, noise = outputs - columns @ equal.mean, deviation
+    for _ in range(DEFAULTS.rounds):
+        weighed = columns * (share / noise**2)[:, None]
+        information = np.einsum('tna,tnb->ab', weighed, columns) + precision
+        change = np.linalg.solve(information, np.einsum('tna,tn->a', weighed, left))
+        noise = np.sqrt(np.mean((left - columns @ change)**2, axis=0) + DEFAULTS.model_error * deviation**2)
+    log = -share * len(left) * np.log(noise).sum() - 0.5 * change @ precision @ change
+    log += 0.5 * (np.linalg.slogdet(precision)[1] - np.linalg.slogdet(information)[1])
+    power = equal.power
+    variance = np.einsum('na,na->n', power, np.linalg.solve(information, power.T).T)
+    variance += DEFAULTS.model_error * (deviation[:len(power)] * equal.speed)**2
+    return log + np.sum(np.log(2.0) + log_ndtr(power @ change / np.sqrt(variance))), change

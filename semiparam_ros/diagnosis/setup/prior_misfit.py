@@ -21,7 +21,7 @@ from scipy.special import log_ndtr
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.robot.size import inertial_scale
 from semiparam_ros.core.samples import Samples
-from semiparam_ros.core.types import Array, Indices
+from semiparam_ros.core.types import Array
 from semiparam_ros.diagnosis.config import DiagnosisConfig
 
 
@@ -52,28 +52,6 @@ class Equations:
         """(n, c, c) products of each channel's scaled columns."""
         return self.scaled.transpose(0, 2, 1) @ self.scaled
 
-    @cached_property
-    def expected(self) -> Array:
-        """(N, n) outputs of the mean."""
-        return self.columns @ self.mean
-
-    @cached_property
-    def free(self) -> Indices:
-        """Places of the nuisances."""
-        return np.flatnonzero(np.diag(self.precision) == 0.0)
-
-    @cached_property
-    def channel(self) -> Indices:
-        """Channel that each nuisance shows in most."""
-        return np.asarray(np.abs(self.columns[:, :, self.free]).max(axis=0).argmax(axis=0))
-
-    @cached_property
-    def known(self) -> tuple[Array, float]:
-        """(c, c) precision of the scaled parameters, and the logarithm of its determinant, without the nuisances."""
-        scaled = self.precision / np.outer(self.size, self.size)
-        inertial = np.delete(np.delete(scaled, self.free, 0), self.free, 1)
-        return scaled, float(np.linalg.slogdet(inertial)[1])
-
 
 def equations(body: RigidBody, samples: Samples, config: DiagnosisConfig) -> Equations:
     """Equations by which the inputs of ``samples`` predict."""
@@ -101,25 +79,23 @@ def evidence(equal: Equations, outputs: Array, share: float = 1.0) -> MisfitEvid
     """Log evidence of outputs (N, n) when ``share`` of the samples count; -inf where no inertias can be estimated."""
     deviation, telling = channel_scale(outputs, not len(equal.power)), np.ptp(outputs, axis=0) > 0.0
     size, count = equal.size, len(outputs)
-    precision, log_determinant = equal.known[0].copy(), equal.known[1]
-    largest = deviation[equal.channel]  # a nuisance may be as large as what its channel shows
-    precision[equal.free, equal.free] = largest**-2
-    left = outputs - equal.expected
+    precision = equal.precision + np.diag(_nuisance_precision(equal, size, deviation))
+    left = outputs - equal.columns @ equal.mean
     grams, squares = equal.grams[telling], np.sum(left[:, telling] ** 2, axis=0)
     moments = np.matmul(left.T[telling, None], equal.scaled[telling])[:, 0]
     noise = deviation[telling]
     for _ in range(equal.config.rounds):
         weight = share / noise**2
         try:
-            factor = cho_factor(np.tensordot(weight, grams, 1) + precision)
+            factor = cho_factor(np.tensordot(weight, grams, 1) + precision / np.outer(size, size))
         except np.linalg.LinAlgError:  # the motion is so large that doubles do not hold what inertias change
             return MisfitEvidence(-np.inf, np.zeros(len(size)))
         scaled = cho_solve(factor, weight @ moments)
         residual = squares - 2.0 * moments @ scaled + (grams @ scaled) @ scaled
         noise = np.sqrt(np.maximum(residual, 0.0) / count + equal.config.model_error * deviation[telling] ** 2)
     change = scaled / size
-    likelihood = -share * count * float(np.log(noise).sum()) - 0.5 * float(scaled @ precision @ scaled)
-    likelihood += 0.5 * log_determinant - float(np.log(largest).sum() + np.log(np.diag(factor[0])).sum())
+    likelihood = -share * count * float(np.log(noise).sum()) - 0.5 * float(change @ precision @ change)
+    likelihood += 0.5 * float(np.linalg.slogdet(precision)[1]) - float(np.log(np.diag(factor[0]) * size).sum())
     return MisfitEvidence(likelihood + _braking(equal, change, deviation, factor, size), change)
 
 
@@ -139,6 +115,13 @@ def independent(equal: Equations, outputs: Array, change: Array) -> float:
     residual = residual[:, np.ptp(outputs, axis=0) > 0.0]
     alike = np.clip(np.sum(residual[1:] * residual[:-1], axis=0) / np.sum(residual**2, axis=0), 0.0, 1.0)
     return float(np.mean((1.0 - alike) / (1.0 + alike)))
+
+
+def _nuisance_precision(equal: Equations, size: Array, deviation: Array) -> Array:
+    """(c,) that of nuisances which may be as large as what their channel shows; zero for the others."""
+    free = np.diag(equal.precision) == 0.0
+    channel = np.abs(equal.columns).max(axis=0).argmax(axis=0)
+    return np.where(free, (size / deviation[channel]) ** 2, 0.0)
 
 
 def _braking(equal: Equations, change: Array, deviation: Array, factor: tuple[Array, bool], size: Array) -> float:
