@@ -64,30 +64,30 @@ def test_variants_and_back_while_a_bag_plays_at_ten_times_real_time(tmp_path, ro
     kept = ''.join(f'/{topic}: {{history: keep_all}}\n' for topic in (JOINT_STATES, WRENCH, ACCELERATIONS))
     (tmp_path / 'kept.yaml').write_text(kept)
     switched = []
-    with (NodeProcess(tmp_path, tmp_path / 'p.yaml'), Client() as client,
-          Tool(tmp_path, 'replay', bag, '--rate', 10, '--wait-for-subscribers', '--quiet', '--json',
-               tmp_path / 'played.json', '--qos-profile-overrides-path', tmp_path / 'kept.yaml') as player):
-        client.connect()
-        client.wait(lambda: len(client.heard['residual']) > settings.initial_samples + 50, 'the first model')
-        for variant in ORDER if long else FEW:
-            start = time.monotonic()
-            answer, = client.set(variant=variant)
-            replied = time.monotonic() - start
-            assert answer.successful
-            if 'is being built' in answer.reason:
-                wait_for_model(client, variant)
-            took = time.monotonic() - start
-            print(f'{variant}: answered after {1e3 * replied:.0f} ms, takes over within {took:.1f} s')
-            switched.append((variant, len(client.heard['residual']) + 3))
-            client.wait(lambda: len(client.heard['residual']) > switched[-1][1] + COMPARED, 'more data')
-            assert player.process.poll() is None, 'the bag ended before the last switch'
-        assert client.call(Trigger, '/bag_replay/pause', Trigger.Request()).success
-        client.wait_report('inputs', lambda level, message, values: message.startswith('nothing received'))
-        player.interrupt()
-        assert player.wait() == 0, player.output
-        played = json.loads((tmp_path / 'played.json').read_text())['published']['/wrench']
-        client.wait(lambda: len(client.heard['residual']) >= played, 'the last answers')
-        found, stamps = np.array(client.values('predicted_wrench')), client.stamps('residual')
+    with NodeProcess(tmp_path, tmp_path / 'p.yaml'), Client() as client:
+        client.connect()  # before the first sample
+        with Tool(tmp_path, 'replay', bag, '--rate', 10, '--wait-for-subscribers', '--quiet', '--json',
+                  tmp_path / 'played.json', '--qos-profile-overrides-path', tmp_path / 'kept.yaml') as player:
+            client.wait(lambda: len(client.heard['residual']) > settings.initial_samples + 50, 'the first model')
+            for variant in ORDER if long else FEW:
+                start = time.monotonic()
+                answer, = client.set(variant=variant)
+                replied = time.monotonic() - start
+                assert answer.successful
+                if 'is being built' in answer.reason:
+                    wait_for_model(client, variant)
+                took = time.monotonic() - start
+                print(f'{variant}: answered after {1e3 * replied:.0f} ms, takes over within {took:.1f} s')
+                switched.append((variant, len(client.heard['residual']) + 3))
+                client.wait(lambda: len(client.heard['residual']) > switched[-1][1] + COMPARED, 'more data')
+                assert player.process.poll() is None, 'the bag ended before the last switch'
+            assert client.call(Trigger, '/bag_replay/pause', Trigger.Request()).success
+            client.wait_report('inputs', lambda level, message, values: message.startswith('nothing received'))
+            player.interrupt()
+            assert player.wait() == 0, player.output
+            played = json.loads((tmp_path / 'played.json').read_text())['published']['/wrench']
+            client.wait(lambda: len(client.heard['residual']) >= played, 'the last answers')
+            found, stamps = np.array(client.values('predicted_wrench')), client.stamps('residual')
     assert len(stamps) == played and stamps == [sample.stamp for sample in samples[:len(stamps)]]
     for variant, since in switched:
         estimator = build_estimator(replace(settings, variant=variant), circles.robot_description)
