@@ -158,7 +158,7 @@ def test_what_is_likelier_beforehand_is_named_unless_surpassed_beyond_chance(
 ):
     monkeypatch.setattr(change, 'gain', lambda *_: beyond)
     cable, load = (effect_from_text(f'{kind}@r_gripper') for kind in ('cable_spring', 'payload'))
-    after = SimpleNamespace(config=DEFAULTS)
+    after = SimpleNamespace(config=DEFAULTS, effects=())
     moves = [
         Move((effect,), after, Gain(100.0, 1.0), price)
         for effect, price in ((cable, 13.0), (load, 1.0))

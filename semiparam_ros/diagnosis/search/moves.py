@@ -10,7 +10,13 @@ from typing import NamedTuple
 from semiparam_ros.diagnosis.data.recordings import breaks_s
 from semiparam_ros.diagnosis.regression import Fit, with_effects
 from semiparam_ros.diagnosis.search.candidates import Place, added_columns, candidates, identity, others
-from semiparam_ros.diagnosis.search.plausibility import all_plausible, plausible, prices, without_impossible
+from semiparam_ros.diagnosis.search.plausibility import (
+    all_plausible,
+    needed_errors,
+    plausible,
+    prices,
+    without_impossible,
+)
 from semiparam_ros.diagnosis.search.refit import declare
 from semiparam_ros.diagnosis.search.revision import formed_anew, pruned, reshaped
 from semiparam_ros.diagnosis.search.score import Gain, gain
@@ -35,7 +41,9 @@ class Move(NamedTuple):
     @property
     def good(self) -> bool:
         """Return whether it may be made."""
-        return self.gain.exceeds(self.price, self.after.config.sure)
+        names = {identity(effect) for effect in self.added}
+        others = [effect for effect in self.after.effects if identity(effect) not in names]
+        return self.gain.exceeds(self.price, max(needed_errors(effect, others, self.after) for effect in self.added))
 
 
 def _plausible_moves(fit: Fit, after: Fit, added: Sequence[Effect], kinds: Collection[str]) -> list[Move]:

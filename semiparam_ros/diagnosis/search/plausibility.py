@@ -102,7 +102,17 @@ def prices(added: Sequence[Effect], fit: Fit, kinds: Collection[str]) -> float:
     return total
 
 
-def usual(effect: Effect, fit: Fit) -> bool:
-    """Return whether the model holds a kind of a group at half of its other places or more."""
-    others = sum(known.kind == effect.kind for known in fit.effects if known is not effect)
-    return bool(effect.group) and 2 * others >= max(len(effect.places(fit.body)) - 1, 1)
+def usual(effect: Effect, others: Sequence[Effect], fit: Fit) -> bool:
+    """Return whether others have an effect's kind, one of a group, at half of its other places or more.
+
+    What begins or ends is a change, which what the others always had makes no likelier.
+    """
+    if not effect.group or effect.span.values:
+        return False
+    same = sum(other.kind == effect.kind for other in others)
+    return 2 * same >= max(len(effect.places(fit.body)) - 1, 1)
+
+
+def needed_errors(effect: Effect, others: Sequence[Effect], fit: Fit) -> float:
+    """Standard errors that an effect's gain must exceed: one where it is :func:`usual` beside others."""
+    return 1.0 if usual(effect, others, fit) else fit.config.sure

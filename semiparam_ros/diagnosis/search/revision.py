@@ -9,7 +9,7 @@ import numpy as np
 
 from semiparam_ros.diagnosis.regression import Fit, with_effects
 from semiparam_ros.diagnosis.search.candidates import Place, added_columns, held, identity, others
-from semiparam_ros.diagnosis.search.plausibility import all_plausible, price, prices, usual
+from semiparam_ros.diagnosis.search.plausibility import all_plausible, needed_errors, price, prices, usual
 from semiparam_ros.diagnosis.search.refit import calibrated, declare, remaining, settled, told_by_sliding
 from semiparam_ros.diagnosis.search.score import Gain, gain, gain_of_values, repetition, worth
 from semiparam_ros.diagnosis.search.scoring import coarse_trial, line_searched
@@ -82,9 +82,9 @@ def with_common_forms(fit: Fit, fixed: Collection[Place]) -> Fit:
 def with_usual(fit: Fit, fixed: Collection[Place], kinds: dict[str, type[Effect]]) -> Fit:
     """The model with what half of the joints have in place of a rarer cause, unless blocks tell the two apart by more
     than their odds: a joint that goes one way shows no offset from its dry friction."""
-    common = list(dict.fromkeys(type(effect) for effect in fit.effects if usual(effect, fit)))
+    common = list(dict.fromkeys(type(effect) for effect in fit.effects if usual(effect, others(fit, effect), fit)))
     rare = [effect for effect in fit.effects if effect.where is not None and not effect.is_calibration
-            and identity(effect) not in fixed and not usual(effect, fit)]
+            and identity(effect) not in fixed and not usual(effect, others(fit, effect), fit)]
     for effect in rare:
         rest = with_effects(fit, others(fit, effect))
         for kind in common:
@@ -175,9 +175,9 @@ def pruned(fit: Fit, fixed: Collection[Place], kinds: Collection[str],
     while True:
         weak = []
         for number, (effect, each) in enumerate(zip(fit.effects, worth(fit), strict=True)):
-            cost = price(effect, others(fit, effect), fit, kinds)
-            sure = 1.0 if usual(effect, fit) else fit.config.sure
-            if identity(effect) not in fixed and not each.exceeds(cost, sure):
+            rest = others(fit, effect)
+            cost, errors = price(effect, rest, fit, kinds), needed_errors(effect, rest, fit)
+            if identity(effect) not in fixed and not each.exceeds(cost, errors):
                 weak.append((each.total, number))
         if not weak:
             return fit
