@@ -8,7 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from semiparam_ros.core.columns import Memory
+from semiparam_ros.core.columns import ColumnBlock, Memory
 from semiparam_ros.core.robot.joint_friction import TOP_SPEED, friction_scale
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.robot.size import radians
@@ -128,6 +128,15 @@ class CommonGain(Effect):
 
     def transform(self, body: RigidBody, regressors: Array) -> Array:
         return np.asarray((1.0 + self.value('gain')) * regressors)
+
+
+def gains(effects: Sequence[ColumnBlock], body: RigidBody) -> dict[str, float]:
+    """Factor by which the effort of each joint is read, one without a gain among the effects."""
+    read = np.ones((1, body.n_outputs, 1))
+    for effect in effects:
+        if isinstance(effect, (EffortGain, CommonGain)):
+            read = effect.transform(body, read)
+    return dict(zip(body.output_names, read.ravel().tolist(), strict=True))
 
 
 class GearCoupling(Effect):

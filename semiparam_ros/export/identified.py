@@ -32,6 +32,7 @@ from semiparam_ros.core.robot.size import LEAST_LENGTH_SHARE, SHARE, reach_of, s
 from semiparam_ros.core.types import Array
 from semiparam_ros.effects import Effect
 from semiparam_ros.effects.base import spelling
+from semiparam_ros.effects.drive import gains
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.export.estimate import Estimate
 
@@ -328,11 +329,15 @@ def _contribution(bodies: Sequence[Body], parameters: Sequence[Array] | Array, c
 
 
 def _dynamics(columns: CoupledColumns) -> list[tuple[str, str, Array]]:
-    """Joint, quantity and the weights (p,) by which it follows from theta; what is over is none of a joint's."""
+    """Joint, quantity and the weights (p,) by which it follows from theta; what is over is none of a joint's.
+
+    A declared gain multiplies bodies: theta holds friction and rotors as the efforts read them.
+    """
     body, found = columns.body, dict[tuple[str, str], Array]()
+    read = gains(columns.effects, body)
 
     def add(joint: str, name: str, place: int, weight: float) -> None:
-        found.setdefault((joint, name), np.zeros(columns.n_columns))[place] += weight
+        found.setdefault((joint, name), np.zeros(columns.n_columns))[place] += weight / read.get(joint, 1.0)
 
     if columns.has_friction:
         start = columns.blocks['friction'].start

@@ -130,6 +130,18 @@ def test_friction_is_that_of_the_joints(arm):
         assert values[joint, 'friction'] == pytest.approx(friction, abs=0.03)
 
 
+def test_friction_beside_a_wrong_gain_is_the_joints_own():
+    """Efforts read it a quarter too large: so it went into the URDF, beside inertias without the gain."""
+    samples = recording(EFFORTS, seed=1, prepare=rubbing)
+    read = np.array([1.25 if joint == 'r_elbow' else 1.0 for joint in ICUB_JOINTS])
+    samples = replace(samples, outputs=read * samples.outputs)
+    found, _ = exported(EFFORTS, samples, ['effort_gain@r_elbow{"gain": 0.25}'])
+    values = {(each.joint, each.name): each.value for each in found.joints}
+    for joint, (damping, friction) in FRICTION.items():
+        assert 0.2 * values[joint, 'damping'] + values[joint, 'friction'] == pytest.approx(
+            0.2 * damping + friction, rel=0.05)
+
+
 def test_every_body_can_be_and_pinocchio_reads_it(arm):
     assert all(is_consistent(values) for values in described_links(arm[1]).values())
     model = pin.buildModelFromXML(arm[1])
