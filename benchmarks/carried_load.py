@@ -4,7 +4,9 @@ ROBOTS is the folder ``robots`` of example-robot-data. The arms, their controlle
 are those of ``tracking.py``. A minute of one motion is learnt. Then the arm follows another one; a
 load is put into its hand, taken out of it and put into it again, half a minute each. Feedforward comes
 from the description, or from the learner of the node with ``diagnosis.auto`` ``report`` and ``apply``.
-A change is named four seconds after that is asked for, as in the node's process beside.
+A change is named four seconds after that is asked for, as in the node's process beside. ``known at
+once`` and ``known after 0.2 s`` are bounds: no change is looked for, and whether the load is there is
+told so long after it came or went, with its exact torques; all else is learnt as ever.
 
 *Before* is the error of the twenty seconds before the first change. After each change: the error of
 the next thirty seconds, that of their worst second, and that of the last ten, over the one before.
@@ -16,6 +18,7 @@ import argparse
 import json
 import os
 from collections.abc import Callable
+from copy import copy
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -42,7 +45,8 @@ LEARNT_S, CHANGES_S, END_S = 60.0, (20.0, 50.0, 80.0), 110.0
 NAMING_S = 4.0
 CARRIERS = dict(zip(ARMS, ('wrist_3_link', 'panda_link7'), strict=True))
 EMPTY_KG = 1e-6
-MODES = ('description', 'report', 'apply')
+KNOWN_AFTER_S = {'known at once': 0.0, 'known after 0.2 s': 0.2}
+MODES = ('description', 'report', 'apply', *KNOWN_AFTER_S)
 
 
 class Later(AtOnce):
@@ -87,36 +91,76 @@ class Silent:
         return lambda *_: None
 
 
+class Load:
+    """A load in the hand, and the torques that it asks for."""
+
+    def __init__(self, arm: Arm, kilograms: float) -> None:
+        self._model, self._dofs, self._kilograms = arm.model, arm.dofs, kilograms
+        self._models = tuple(copy(arm.model) for _ in range(2))
+        for model, mass in zip(self._models, (kilograms, EMPTY_KG), strict=True):
+            put_on(model, mass)
+
+    def change(self, seconds: float) -> None:
+        """Put it on or take it off, as is due at a time."""
+        mass = self._kilograms if is_on(seconds) else EMPTY_KG
+        if self._model.body('load').mass[0] != mass:
+            put_on(self._model, mass)
+
+    def torques(self, *row: Array) -> Array:
+        """(n,) [N m] at a position, velocity and acceleration (n,) each."""
+        found = []
+        for model in self._models:
+            data = mujoco.MjData(model)
+            data.qpos[self._dofs], data.qvel[self._dofs], data.qacc[self._dofs] = row
+            mujoco.mj_inverse(model, data)
+            found.append(data.qfrc_inverse[self._dofs])
+        return np.asarray(found[0] - found[1])
+
+
+def put_on(model: mujoco.MjModel, kilograms: float) -> None:
+    """Give the load of a model this mass."""
+    model.body('load').mass, model.body('load').inertia = kilograms, [2e-3 * kilograms] * 3
+    mujoco.mj_setConst(model, mujoco.MjData(model))
+
+
+def is_on(seconds: float) -> bool:
+    """Tell whether the hand holds the load."""
+    return sum(seconds >= change for change in CHANGES_S) % 2 == 1
+
+
 def followed(setting: Setting, urdf: str, mode: str, kilograms: float) -> tuple[Array, list[str]]:
     """(N, n) errors [rad] of every step of the second motion, and what was decided."""
     arm, background, silent = Arm(setting, urdf), Later(), Silent()
     settings = Settings(outputs='effort', joints=setting.joints, robot_description=urdf)
-    settings = replace(settings, diagnosis_auto='report' if mode == 'description' else mode)
-    learner = Learner(settings, arm.body, background, silent)
-    feedforward = Feedforward()
+    auto = {'description': 'report', **dict.fromkeys(KNOWN_AFTER_S, 'off')}.get(mode, mode)
+    learner = Learner(replace(settings, diagnosis_auto=auto), arm.body, background, silent)
+    feedforward, load = Feedforward(), Load(arm, kilograms)
+    start = round((LEARNT_S + 1.0) * 1e9)
+    seconds = 0.0
 
     def described(*row: Array) -> Array:
         return np.asarray(arm.body.regressor(*row) @ arm.body.base_parameters)
 
     def forward(*row: Array) -> Array:
-        return feedforward.answer(learner, *row).efforts
+        efforts = feedforward.answer(learner, *row).efforts
+        told = mode in KNOWN_AFTER_S and is_on(seconds - KNOWN_AFTER_S[mode])
+        return efforts + load.torques(*row) if told else efforts
 
     def heard(sample: Sample) -> None:
+        if mode in KNOWN_AFTER_S and is_on((sample.stamp - start) * 1e-9):
+            sample = sample._replace(outputs=sample.outputs - load.torques(*sample[1:4]))
         background.arrive(sample.stamp)
         learner.offer(sample)
 
-    def loaded(seconds: float) -> None:
-        after = sum(seconds >= change for change in CHANGES_S)
-        mass = kilograms if after % 2 else EMPTY_KG
-        if arm.model.body('load').mass[0] != mass:
-            arm.model.body('load').mass, arm.model.body('load').inertia = mass, [2e-3 * mass] * 3
-            mujoco.mj_setConst(arm.model, mujoco.MjData(arm.model))
+    def before(now: float) -> None:
+        nonlocal seconds
+        seconds = now
+        load.change(now)
 
-    loaded(0.0)
+    load.change(0.0)
     arm.follow('points', LEARNT_S, 1, described, heard)
-    start = round((LEARNT_S + 1.0) * 1e9)
     chosen = described if mode == 'description' else forward
-    errors = arm.follow('sines', END_S, 2, chosen, heard, start, loaded)
+    errors = arm.follow('sines', END_S, 2, chosen, heard, start, before)
     told = [f'{(each.stamp - start) * 1e-9:.1f} s: {each.what}' for record in silent.records.values()
             for each in record.decisions]
     return errors, told
@@ -139,6 +183,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or '').partition('\n')[0])
     parser.add_argument('robots', type=Path)
     parser.add_argument('--seeds', type=int, default=1)
+    parser.add_argument('--modes', nargs='+', choices=MODES, default=MODES, metavar='MODE')
     parser.add_argument('--kilograms', type=float, default=1.0)
     parser.add_argument('--json', type=Path, metavar='FILE')
     args = parser.parse_args()
@@ -150,7 +195,7 @@ def main() -> None:
             setting = replace(chosen, late_s=0.0, asymmetry=0.0, seed=seed, carrier=CARRIERS[key],
                               payload_kg=args.kilograms)
             urdf, arm = (args.robots / setting.urdf).read_text(), key.split(',')[0].split(' at')[0]
-            for mode in MODES:
+            for mode in args.modes:
                 errors, told = followed(setting, urdf, mode, args.kilograms)
                 found = judged(errors)
                 runs.append({'arm': arm, 'seed': seed, 'mode': mode, 'decisions': told, **found})
