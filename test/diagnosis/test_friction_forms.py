@@ -18,7 +18,7 @@ from semiparam_ros.diagnosis.search.score import Gain, gain, worth
 from semiparam_ros.diagnosis.search.stepwise import starting_fit
 from semiparam_ros.effects import kinds
 from semiparam_ros.effects.base import Span
-from semiparam_ros.effects.drive import EffortOffset
+from semiparam_ros.effects.drive import EffortOffset, JointSpring
 from semiparam_ros.effects.friction import CoulombFriction, ViscousFriction
 from semiparam_ros.effects.geometry import TimeDelay
 from semiparam_ros.effects.hysteresis import Way
@@ -168,6 +168,8 @@ def test_what_the_other_joints_have_comes_as_easily_as_it_stays():
     assert not Move((begun,), fit, unsure, 0.3).good, 'a change is not what the others always had'
     offset = EffortOffset('turn')
     assert not Move((offset,), declare(fit, [offset]), unsure, 0.3).good, 'no other joint has it'
+    springs = [JointSpring(joint) for joint in BODY.joints]
+    assert not Move(tuple(springs[:1]), declare(fit, springs), unsure, 0.3).good, 'springs are of no group'
 
 
 def test_a_delay_that_every_output_shows_is_believed():

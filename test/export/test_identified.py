@@ -130,12 +130,12 @@ def test_friction_is_that_of_the_joints(arm):
         assert values[joint, 'friction'] == pytest.approx(friction, abs=0.03)
 
 
-def test_friction_beside_a_wrong_gain_is_the_joints_own():
+@pytest.mark.parametrize('gain', ['effort_gain@r_elbow', 'common_gain'])
+def test_friction_beside_a_wrong_gain_is_the_joints_own(gain):
     """Efforts read it a quarter too large: so it went into the URDF, beside inertias without the gain."""
     samples = recording(EFFORTS, seed=1, prepare=rubbing)
-    read = np.array([1.25 if joint == 'r_elbow' else 1.0 for joint in ICUB_JOINTS])
-    samples = replace(samples, outputs=read * samples.outputs)
-    found, _ = exported(EFFORTS, samples, ['effort_gain@r_elbow{"gain": 0.25}'])
+    read = np.array([1.25 if gain == 'common_gain' or joint == 'r_elbow' else 1.0 for joint in ICUB_JOINTS])
+    found, _ = exported(EFFORTS, replace(samples, outputs=read * samples.outputs), [f'{gain}{{"gain": 0.25}}'])
     values = {(each.joint, each.name): each.value for each in found.joints}
     for joint, (damping, friction) in FRICTION.items():
         assert 0.2 * values[joint, 'damping'] + values[joint, 'friction'] == pytest.approx(
