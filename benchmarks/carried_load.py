@@ -96,9 +96,10 @@ class Load:
 
     def __init__(self, arm: Arm, kilograms: float) -> None:
         self._model, self._dofs, self._kilograms = arm.model, arm.dofs, kilograms
-        self._models = tuple(copy(arm.model) for _ in range(2))
-        for model, mass in zip(self._models, (kilograms, EMPTY_KG), strict=True):
+        models = copy(arm.model), copy(arm.model)
+        for model, mass in zip(models, (kilograms, EMPTY_KG), strict=True):
             put_on(model, mass)
+        self._with_and_without = [(model, mujoco.MjData(model)) for model in models]
 
     def change(self, seconds: float) -> None:
         """Put it on or take it off, as is due at a time."""
@@ -109,8 +110,7 @@ class Load:
     def torques(self, *row: Array) -> Array:
         """(n,) [N m] at a position, velocity and acceleration (n,) each."""
         found = []
-        for model in self._models:
-            data = mujoco.MjData(model)
+        for model, data in self._with_and_without:
             data.qpos[self._dofs], data.qvel[self._dofs], data.qacc[self._dofs] = row
             mujoco.mj_inverse(model, data)
             found.append(data.qfrc_inverse[self._dofs])

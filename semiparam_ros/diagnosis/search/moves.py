@@ -42,8 +42,8 @@ class Move(NamedTuple):
     def good(self) -> bool:
         """Return whether it may be made."""
         names = {identity(effect) for effect in self.added}
-        others = [effect for effect in self.after.effects if identity(effect) not in names]
-        return self.gain.exceeds(self.price, max(needed_errors(effect, others, self.after) for effect in self.added))
+        known = [effect for effect in self.after.effects if identity(effect) not in names]
+        return self.gain.exceeds(self.price, max(needed_errors(effect, known, self.after) for effect in self.added))
 
 
 def _plausible_moves(fit: Fit, after: Fit, added: Sequence[Effect], kinds: Collection[str]) -> list[Move]:
