@@ -37,6 +37,7 @@ class Group:
                 **{'stdin': subprocess.DEVNULL, **options})
 
     def wait_for(self, text):
+        """Without a line's end it may be half a line: Python without buffers writes that end by itself."""
         end = time.monotonic() + PATIENCE_S
         while text not in self.output:
             assert time.monotonic() < end and self.process.poll() is None, self.output
@@ -85,7 +86,7 @@ with StopSignals(stopping.set) as signals:
     sys.exit(0 if stopping.wait(30.0) and signals.asked else 1)
 """
     with Group(tmp_path, '-c', program) as group:
-        group.wait_for('ready')
+        group.wait_for('ready\n')
         group.send()
         assert group.code() == 0, group.output
 
@@ -100,10 +101,10 @@ with StopSignals(lambda: print('asked', flush=True)):
     lock.acquire()
 """
     with Group(tmp_path, '-c', program) as group:
-        group.wait_for('ready')
+        group.wait_for('ready\n')
         group.send()
         group.send()
-        group.wait_for('asked')
+        group.wait_for('asked\n')
         time.sleep(0.1)
         assert group.process.poll() is None, 'signals at the same time are one'
         time.sleep(0.6)
