@@ -1,19 +1,26 @@
 """What the node makes of its input messages, without a graph."""
 
 from dataclasses import replace
-from math import nan
+from math import inf, nan
 from types import SimpleNamespace
 
 import pytest
 from rclpy.qos import QoSHistoryPolicy, QoSReliabilityPolicy
 
 from semiparam_ros.bags.readings import Reading
+from semiparam_ros.ros.estimator import diagnostics
 from semiparam_ros.ros.estimator.diagnostics import OK, InputReport, Rejections
 from semiparam_ros.ros.estimator.subscriptions import ACCELERATIONS, JOINT_STATES, InputStream
 from support.node_helpers import JOINTS, SETTINGS
 
 EFFORTS = replace(SETTINGS, outputs='effort', sensor_frame='', acceleration_source='filter')
 PERIOD_NS = 5_000_000
+
+
+@pytest.fixture(autouse=True)
+def nothing_is_silent(monkeypatch):
+    """Where this process stands still for a second between a message and the report on it, no topic has gone silent."""
+    monkeypatch.setattr(diagnostics, 'SILENCE_S', inf)
 
 
 class Inputs:
