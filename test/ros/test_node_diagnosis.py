@@ -30,6 +30,12 @@ def rubbing(count):
                             + 0.02 * rng.standard_normal(2)) for sample in motion(count, body=body)]
 
 
+def signal_children(node, number):
+    """To the processes beside the node: one that has been stopped is not done before it may go on."""
+    for child in children_of(node.process.pid):
+        os.kill(child, number)
+
+
 def test_friction_is_found_named_added_and_the_horizon_error_falls(tmp_path):
     dump_params(LIVE, tmp_path / 'p.yaml')
     samples = rubbing(800)
@@ -46,9 +52,12 @@ def test_friction_is_found_named_added_and_the_horizon_error_falls(tmp_path):
         client.play_at_a_pace(samples[100:450], JOINTS, efforts=True)
         player = threading.Thread(target=client.play_at_a_pace, args=(samples[450:550], JOINTS, True))
         player.start()
+        signal_children(node, signal.SIGSTOP)
         running = client.begin(Trigger, 'diagnose', Trigger.Request())
+        client.wait_report('diagnosis', lambda level, message, values: values['running'] == 'True')
         refused = client.trigger('apply_diagnosis')
         assert not refused.success and 'a diagnosis is running' in refused.message
+        signal_children(node, signal.SIGCONT)
         player.join()
         client.wait(running.done, 'the diagnosis')
         answer = running.result()
@@ -96,11 +105,12 @@ def test_one_that_is_cancelled_leaves_no_result_and_what_was_changed_since_is_no
         client.listen(String, 'diagnosis', 'diagnosis_progress')
         client.offer('joint_states', 'joint_accelerations')
         assert client.trigger('cancel_diagnosis').message == 'no diagnosis is running.'
-        client.play_at_a_pace(rubbing(450), JOINTS, efforts=True)
-        running, told = client.begin(Trigger, 'diagnose', Trigger.Request()), client.heard['diagnosis_progress']
-        client.wait(lambda: told and len(children_of(node.process.pid)) > 1, 'it has begun')
-        for child in children_of(node.process.pid):
-            os.kill(child, signal.SIGSTOP)  # so that it is not done before it is cancelled
+        samples, told = rubbing(450), client.heard['diagnosis_progress']
+        client.play_at_a_pace(samples[:100], JOINTS, efforts=True)
+        client.trigger('diagnose')  # of too few samples; the process for it is there from then on
+        client.play_at_a_pace(samples[100:], JOINTS, efforts=True)
+        signal_children(node, signal.SIGSTOP)
+        running = client.begin(Trigger, 'diagnose', Trigger.Request())
         _, message, values = client.wait_report('diagnosis', lambda level, message, values: values['running'] == 'True')
         assert re.search(r'; about \d+ s left\.$', message) and float(values['elapsed [s]']) >= 0.0
         cancelled = client.trigger('cancel_diagnosis')
@@ -109,8 +119,7 @@ def test_one_that_is_cancelled_leaves_no_result_and_what_was_changed_since_is_no
         assert (running.result().success, running.result().message) == (False, 'the diagnosis was cancelled.')
         assert 'no diagnosis yet' in client.trigger('apply_diagnosis').message
         client.wait_report('diagnosis', lambda level, message, values: message == 'the last one was cancelled.')
-        for child in children_of(node.process.pid):
-            os.kill(child, signal.SIGCONT)
+        signal_children(node, signal.SIGCONT)
         answer = client.trigger('diagnose')
         assert answer.success and 'It looked at 450 of 450 samples, evenly spread over 9 s.' in answer.message
         client.wait(lambda: client.heard['diagnosis'], 'the report')
