@@ -72,9 +72,9 @@ def test_a_program_that_fails_tells_its_last_words(tmp_path):
         program.finish(60.0)
 
 
-def test_a_program_is_stopped_when_its_block_ends(recording, tmp_path):
+def test_a_program_is_stopped_when_its_block_ends(recording, tmp_path, ros_domain):
     arguments = ['replay', recording, '--rate', '0.01', '--quiet', '--disable-keyboard-controls']
-    with Program(arguments, isolated(99), tmp_path / 'log') as program:
+    with Program(arguments, isolated(ros_domain), tmp_path / 'log') as program:
         program.check_running()
     with pytest.raises(SemiparamError, match='ended early'):
         program.check_running()
