@@ -29,7 +29,7 @@ def threads_of(process_id):
     return [int(entry.name) for entry in Path(f'/proc/{process_id}/task').iterdir()]
 
 
-def test_the_node_takes_the_priority_and_the_processes_beside_it_do_not(tmp_path):
+def test_the_node_takes_the_priority_and_the_processes_beside_it_do_not(tmp_path, ros_domain):
     dump_params(replace(SETTINGS, realtime_priority=PRIORITY), tmp_path / 'p.yaml')
     with NodeProcess(tmp_path, tmp_path / 'p.yaml') as node, Client() as client:
         client.connect()
