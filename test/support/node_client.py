@@ -66,6 +66,7 @@ class NodeProcess:
                 self.process.wait(timeout=10)
             except subprocess.TimeoutExpired:
                 self.process.kill()
+                self.process.wait(timeout=PATIENCE_S)  # the next test may have its domain
         self.stream.close()
 
 

@@ -185,7 +185,7 @@ class SettingsChanges(InvalidRequests):
     def finish(self):
         super().finish()
         if self._diagnosis is not None:
-            self.client.wait(self._diagnosis.done, 'the diagnosis', 120.0)
+            self.client.wait(self._diagnosis.done, 'the diagnosis')
             self._proceed()
 
     def _proceed(self):
