@@ -233,22 +233,30 @@ class Client(ServedNode):
     def wait_report(self, title, condition, timeout_s=PATIENCE_S, heard=False):
         """The first report that fulfils a condition, from now on or, if ``heard``, since the last :meth:`forget`.
 
-        A report that holds for a second may be followed by another one before this looks again.
+        A report that holds for a second may be followed by many others before this looks again: each is looked at.
         """
         if not heard:
             self.heard['/diagnostics'].clear()
+        looked, found = 0, []
 
         def fulfilling():
-            return [each for each in self._reports(title) if condition(*each)]
+            nonlocal looked
+            new = self.heard['/diagnostics'][looked:]
+            looked += len(new)
+            found.extend(each for each in self._told(title, new) if condition(*each))
+            return found
         self.wait(fulfilling, f'report {title}', timeout_s)
-        return fulfilling()[0]
+        return found[0]
 
     def _reports(self, title):
         """The node's latest reports, in order."""
+        return self._told(title, self.heard['/diagnostics'][-RECENT:])
+
+    def _told(self, title, heard):
+        """Those of one title among what was heard."""
         name = f'{self.node.get_namespace()}/{self.target}: {title}'.lstrip('/')
         return [(status.level, status.message, {entry.key: entry.value for entry in status.values})
-                for heard in list(self.heard['/diagnostics'])[-RECENT:] for status in heard.status
-                if status.name == name]
+                for message in heard for status in message.status if status.name == name]
 
 
 class Gaps:
