@@ -66,8 +66,9 @@ def test_a_driver_that_leaves_velocities_empty_after_a_reconnect_is_followed(sta
     for sample in samples[100:250]:
         client.state(sample, JOINTS, velocity=[], effort=sample.position.tolist())
         time.sleep(0.01)
+    # Told while they come: who looks a second later finds that nothing is received any more.
     _, _, values = client.wait_report('inputs', lambda level, message, values: level == DiagnosticStatus.OK and
-                                      message == 'receiving; velocities are estimated from the positions.')
+                                      message == 'receiving; velocities are estimated from the positions.', heard=True)
     assert values['refused: wrong_length'] == '3' and 'before it held velocities' in values['last refusal']
     play(client, samples[250:])
     assert len(client.stamps('residual')) == 347
