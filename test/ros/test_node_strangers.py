@@ -16,8 +16,8 @@ from std_msgs.msg import String
 from semiparam_ros.core.robot.urdf import MOST_CHARACTERS
 from semiparam_ros.ros.cdr import MOST_BYTES, joint_state_layout
 from semiparam_ros.ros.estimator.subscriptions import InputStream
-from semiparam_ros.settings import Settings
-from support.node_client import children_of, messages, set_stamp
+from semiparam_ros.settings import Settings, dump_params
+from support.node_client import Client, NodeProcess, children_of, messages, set_stamp
 from support.node_fuzz import resident_mb
 from support.node_helpers import JOINTS, SETTINGS, URDF, motion
 from support.replay_peers import Peer
@@ -228,18 +228,29 @@ def test_a_strangers_zeros_are_refused_as_another_robots(start_node):
     assert 'this one is of another robot' in values['last refusal']
 
 
-def test_who_waits_for_a_model_is_answered_when_the_node_ends(start_node):
+PATIENT = """
+import sys
+from semiparam_ros.cli.main import main
+from semiparam_ros.ros.estimator import parameters
+parameters.PATIENCE_S = 600.0
+sys.exit(main(sys.argv[1:]))
+"""
+"""A node whose replies wait for a model until it ends: within a second the test may not come to end it."""
+
+
+def test_who_waits_for_a_model_is_answered_when_the_node_ends(ros_domain, tmp_path):
     """The reply was held for the model, and never sent."""
-    node, client = start_node(replace(SETTINGS, variant='P'))
-    client.offer('joint_states', 'wrench', 'joint_accelerations')
-    client.play(motion(100), JOINTS)
-    client.take_over()
-    for worker in children_of(node.process.pid):
-        os.kill(worker, signal.SIGSTOP)
-    wish = SetParametersAtomically.Request(parameters=messages({'variant': 'NP-ML'}))
-    reply = client.begin(SetParametersAtomically, 'set_parameters_atomically', wish)
-    client.wait(lambda: client.get('variant')[0].string_value == 'NP-ML', 'the node knows')
-    in_time = not reply.done()
-    assert node.stop() == 0
-    client.wait(reply.done, 'the answer', 5.0)
-    assert not in_time or reply.result().result.reason == 'the node ends before the model is there.'
+    dump_params(replace(SETTINGS, variant='P'), tmp_path / 'p.yaml')
+    with NodeProcess(tmp_path, tmp_path / 'p.yaml', program=('-c', PATIENT)) as node, Client() as client:
+        client.connect()
+        client.offer('joint_states', 'wrench', 'joint_accelerations')
+        client.play(motion(100), JOINTS)
+        client.take_over()
+        for worker in children_of(node.process.pid):
+            os.kill(worker, signal.SIGSTOP)
+        wish = SetParametersAtomically.Request(parameters=messages({'variant': 'NP-ML'}))
+        reply = client.begin(SetParametersAtomically, 'set_parameters_atomically', wish)
+        client.wait(lambda: client.get('variant')[0].string_value == 'NP-ML', 'the node knows')
+        assert node.stop() == 0
+        client.wait(reply.done, 'the answer')
+        assert reply.result().result.reason == 'the node ends before the model is there.'
