@@ -101,6 +101,7 @@ def until(executor, condition):
 
 
 def test_a_temperature_that_stops_coming_is_told_and_samples_go_on_with_the_last(ros, monkeypatch):
+    monkeypatch.setattr(diagnostics, 'SILENCE_S', PATIENCE_S)  # a busy machine is no silence of the joint states
     node, executor = ros
     settings, listener = Settings(joints=JOINTS, outputs='effort', temperatures=('b',)), Listener()
     inputs = InputStream(node, settings, listener, executor.create_task)
