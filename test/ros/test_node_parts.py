@@ -3,6 +3,7 @@
 import json
 import re
 import xml.etree.ElementTree as ElementTree
+from collections import Counter
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -25,6 +26,8 @@ from semiparam_ros.ros.estimator.diagnostics import (
     OK,
     REPORTS,
     WARN,
+    InputReport,
+    Rejections,
     Reports,
     Tally,
     believed_load,
@@ -159,6 +162,18 @@ def test_a_payload_without_a_centre_says_why(mass, why):
     """A sensor of the other convention carried -2.02 +- 0.0005 kg, "below two standard deviations"."""
     load = Load('hand', np.array([mass, *np.zeros(9)]), 0.01 * np.eye(10))
     assert payload_sentence(reported_load(*load)).endswith(f'its centre and inertia are withheld: {why}')
+
+
+def test_a_refusal_is_told_beside_a_silence_that_came_before_the_report_could():
+    """A node that stood still for a second said of it that nothing is received, and never why messages were refused."""
+    inputs = SimpleNamespace(topics=['joint_states'], needed=['joint_states'], publishers=lambda topic: 1, stream=None,
+                             counts=Counter(given_up=0), arrived={'joint_states': -10.0}, has_efforts=False)
+    rejections = Rejections()
+    report = InputReport(inputs, rejections, print)
+    rejections.add('joint_states', 'a JointState cannot be read.')
+    found = [report.make().message for _ in range(2)]
+    assert found == ['nothing received on joint_states for more than 1 s. 1 messages refused in the last second: a '
+                     'JointState cannot be read.', 'nothing received on joint_states for more than 1 s.']
 
 
 def test_a_payload_is_withheld_while_nobody_can_know_it_and_has_the_stamp_of_the_latest_answer():

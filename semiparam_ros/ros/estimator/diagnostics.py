@@ -205,14 +205,14 @@ class InputReport:
         silent = [topic for topic in self._inputs.needed if topic in self._inputs.arrived
                   and now - self._inputs.arrived[topic] > SILENCE_S]
         absent = [topic for topic in self._inputs.needed if topic not in self._inputs.arrived]
+        refusals = self._refusals(news) if news else ''
+        more = self._ignored() + (f' {refusals}' if news else '')  # it is news this once, beside a silence too
         if absent:
-            return Report(WARN, f'nothing received on {", ".join(absent)} yet.{self._ignored()}{self._remedy(absent)}',
-                          values)
+            return Report(WARN, f'nothing received on {", ".join(absent)} yet.{more}{self._remedy(absent)}', values)
         if silent:
-            return Report(WARN, f'nothing received on {", ".join(silent)} for more than {SILENCE_S:g} s.'
-                                f'{self._ignored()}', values)
+            return Report(WARN, f'nothing received on {", ".join(silent)} for more than {SILENCE_S:g} s.{more}', values)
         if news:
-            return Report(WARN, self._refusals(news), values)
+            return Report(WARN, refusals, values)
         cold = [name for name, last in self._inputs.temperatures.items() if now - last > TEMPERATURE_SILENCE_S]
         if cold:
             return Report(WARN, f'no temperature of {listed(cold)} for more than {TEMPERATURE_SILENCE_S:g} s; answers '
