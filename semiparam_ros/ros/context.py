@@ -95,8 +95,11 @@ class StopSignals:
             os.close(descriptor)
 
     def _listen(self) -> None:
-        while number := os.read(self._read, 1)[0]:
-            if number in SIGNALS:
+        came = b''
+        while 0 not in came:
+            came = os.read(self._read, 64)  # what waits came at the same time, however late this thread has its turn
+            number = next(filter(SIGNALS.__contains__, came), None)
+            if number is not None:
                 self._take(number)
 
     def _take(self, number: int) -> None:
