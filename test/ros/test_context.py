@@ -122,10 +122,10 @@ with RosProcess([], lambda: None) as ros:
     time.sleep(0.3)
     offer()
     call_in_executor(node, replace)
-    end = time.monotonic() + 10.0
-    while not source.count_subscribers('/wrench') and time.monotonic() < end:
+    end = time.monotonic() + 60.0
+    while not (count := source.count_subscribers('/wrench')) and time.monotonic() < end:
         time.sleep(0.1)
-    print(call_in_executor(node, lambda: 'alive'), source.count_subscribers('/wrench'), flush=True)
+    print(call_in_executor(node, lambda: 'alive'), count, flush=True)
 """
 
 

@@ -170,6 +170,7 @@ def test_a_second_publisher_is_told_once_by_its_node(start_node):
         client.wrench(sample)
     assert 'publish on' not in node.output
     with Peer('stranger') as stranger:
+        stranger.meet('/estimator')  # which knows its name then
         output = stranger.node.create_publisher(WrenchStamped, client.outputs['wrench'].topic, 10)
         client.wait(lambda: '2 publish on wrench: /client, /stranger. All that' in node.output, 'both are told')
         client.wait(lambda: output.get_subscription_count(), 'it is heard')

@@ -181,10 +181,10 @@ class Client(ServedNode):
         """Call a service; a future of its answer."""
         key = (kind, name)
         if key not in self.clients:
-            self.clients[key] = self.node.create_client(
-                kind, name if name.startswith('/') else f'{self.target}/{name}')
+            service = name if name.startswith('/') else f'{self.target}/{name}'
+            self.clients[key] = self.node.create_client(kind, service)
             self.wait(self.clients[key].service_is_ready, f'service {name}')
-            self.meet()
+            meet(self.node, service.rpartition('/')[0], self.wait)
         return self.clients[key].call_async(request)
 
     def call(self, kind, name, request):
