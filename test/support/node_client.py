@@ -22,9 +22,8 @@ from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from support import forked
-from support.replay_peers import ServedNode, meet
+from support.replay_peers import PATIENCE_S, ServedNode, meet
 
-PATIENCE_S = 240.0
 POLL_S = 0.005
 RECENT = 50
 """Reports to look at: five a second from each of the nodes that talk on the topic."""

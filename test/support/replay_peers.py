@@ -17,7 +17,7 @@ from support import forked
 SECOND = 10**9
 START = 1_700_000_000 * SECOND
 WRENCH, STATES, TEXT = 'geometry_msgs/msg/WrenchStamped', 'sensor_msgs/msg/JointState', 'std_msgs/msg/String'
-PATIENCE_S = 60.0
+PATIENCE_S = 240.0
 
 EVERYTHING = QoSProfile(history=HistoryPolicy.KEEP_ALL, depth=1, reliability=ReliabilityPolicy.RELIABLE)
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
