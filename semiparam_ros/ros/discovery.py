@@ -23,6 +23,7 @@ _PARTICIPANT_BYTES = 12
 _UNKNOWN = '_NODE_NAME_UNKNOWN_'
 
 HANDSHAKE_S = 3.0
+AGAIN_S = 1.0
 
 
 class Stopped(Exception):
@@ -68,22 +69,31 @@ def require_topic_names(names: Iterable[str]) -> None:
             raise SemiparamError(f'{name!r} is no name of a topic: {fault}.')
 
 
-def handshake(node: Node, other: str, stopping: threading.Event, parameter: str = '') -> int | None:
+def handshake(node: Node, other: str, stopping: threading.Event, parameter: str = '',
+              patience_s: float = HANDSHAKE_S) -> int | None:
     """Ask the node ``other`` for a parameter; its value when it is an integer, else None.
 
     Discovery is not symmetric: that we see its endpoints does not mean that it sees ours, and until it does what either
     side sends is lost to the other (with Fast DDS for up to 3 s, the period of its heartbeat). It learns of our
     publishers and of our subscriptions in the order of their creation, and it cannot answer this call before it knows
-    the client, which is younger than all of them. Who has no parameter services, because it is not of ROS, is trusted.
+    the client, which is younger than all of them. It is asked again: an answer sent before that is lost. Who has no
+    parameter services, because it is not of ROS, is trusted.
     """
     if not other.startswith('/'):
         return None
     client = call_in_executor(node, partial(node.create_client, GetParameters, f'{other}/get_parameters'))
+    replies, due = [], 0.0
+
+    def answered() -> bool:
+        nonlocal due
+        if time.monotonic() > due:
+            replies.append(client.call_async(GetParameters.Request(names=[parameter] if parameter else [])))
+            due = time.monotonic() + AGAIN_S
+        return any(reply.done() for reply in replies)
+
     try:
-        if wait_until(client.service_is_ready, HANDSHAKE_S, stopping):
-            reply = client.call_async(GetParameters.Request(names=[parameter] if parameter else []))
-            if wait_until(reply.done, HANDSHAKE_S, stopping):
-                return _integer(reply.result().values)
+        if wait_until(client.service_is_ready, HANDSHAKE_S, stopping) and wait_until(answered, patience_s, stopping):
+            return _integer(next(reply for reply in replies if reply.done()).result().values)
         return None
     finally:
         call_in_executor(node, partial(node.destroy_client, client))

@@ -78,7 +78,9 @@ class Follower:
         """Wait until each side has discovered the other's endpoints; the follower's queue depth if it tells."""
         if not wait_until(lambda: self._subscription.get_publisher_count() > 0, wait_s, stopping):
             raise SemiparamError(f'{self.answer_topic} did not connect within {wait_s:g} s.')
-        return handshake(self._node, self.name, stopping, QUEUE_DEPTH)
+        # Who answers the playback answers this too, be it late: played before, its answers are lost, or its queue runs
+        # over.
+        return handshake(self._node, self.name, stopping, QUEUE_DEPTH, wait_s)
 
     def _is_gone(self) -> bool:
         return bool(self._subscription.get_publisher_count() == 0)
