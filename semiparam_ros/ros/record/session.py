@@ -142,8 +142,12 @@ class RecordSession:
         if not wait_until(ready, self._options.wait_s, self._stopping):
             raise SemiparamError(f'{", ".join(missing) or "some publisher"} was not found within '
                                  f'{self._options.wait_s:g} s.')
-        for name in topics.sources(node, node.topics):
-            handshake(node, name, self._stopping)
+        met: set[str] = set()
+        while new := topics.sources(node, node.topics) - met:
+            for name in new:
+                handshake(node, name, self._stopping)
+            met |= new
+            self._look(node)  # a node's readers are told apart from its writers: of one that answered both are known
         self._say(f'recording {len(node.topics)} topics: {", ".join(sorted(node.topics))}.' if node.topics else
                   'there is no topic to record yet; each is recorded from when it appears.')
         if node.counted not in (None, *node.topics):
