@@ -47,7 +47,7 @@ CYCLE = 4000
 JOINTS = ('r_shoulder_pitch', 'r_shoulder_roll', 'r_shoulder_yaw', 'r_elbow')
 SENSOR = 'r_arm_ft_sensor'
 
-START_S, READY_S, QUIET_S, EMPTY_S = 30.0, 300.0, 5.0, 30.0
+READY_S, QUIET_S, EMPTY_S = 300.0, 30.0, 30.0
 SWITCH_S = 1e-4
 """A thread of this process that receives waits so long for the one that sends, lest that be the node's latency."""
 KEEP_ALL = QoSProfile(history=QoSHistoryPolicy.KEEP_ALL, depth=0)
@@ -161,11 +161,10 @@ class Peer(Node):
         """Until both sides have found each other."""
         self._wait(lambda: self.count_publishers('estimator/predicted_wrench') > 0
                    and self._states.get_subscription_count() > 0 and self._wrenches.get_subscription_count() > 0,
-                   process, START_S, 'the node did not appear')
-        # The node must have found us too, or its first answers would go nowhere.
-        self._wait(lambda: any(info.node_name == 'estimator' for info in self.get_publishers_info_by_topic(
-            '/diagnostics')), process, START_S, 'the node gives no diagnostics')
-        time.sleep(1.0)
+                   process, READY_S, 'the node did not appear')
+        # The node must have found us too, or its first answers would go nowhere: whose reports are heard knows their
+        # subscription, and so the one of before.
+        self._wait(lambda: self.state, process, READY_S, 'the node gives no diagnostics')
 
     def wait_for_answers(self, process: subprocess.Popen[bytes], timeout_s: float, complain: bool = True) -> None:
         """Until everything sent is answered."""
@@ -186,10 +185,12 @@ class Peer(Node):
     def send_until_learning(self, process: subprocess.Popen[bytes], rate_hz: float) -> None:
         """Go on until the variant has its hyperparameters and has taken over, and nothing is built beside it."""
         end = time.monotonic() + READY_S
-        while not self.state.startswith('learning with') or 'being built' in self.state:
+        while True:
+            self.send(max(1, round(0.1 * rate_hz)), rate_hz)
+            if self.state.startswith('learning with') and 'being built' not in self.state:
+                return
             if process.poll() is not None or time.monotonic() > end:
                 raise SemiparamError(f'the variant did not take over within {READY_S:g} s.')
-            self.send(max(1, round(0.1 * rate_hz)), rate_hz)
 
     def _note_state(self, message: DiagnosticArray) -> None:
         for status in message.status:

@@ -99,7 +99,7 @@ def test_it_ends_when_nothing_comes_any_more(tmp_path):
     with Source() as source:
         wrench, chatter = source.offer('/wrench', WRENCH), source.offer('/diagnostics', TEXT)
         source.node.create_timer(0.1, lambda: chatter.publish(message_class(TEXT)()))
-        with Tool(tmp_path, 'record', out, '--topics', '/wrench', '/diagnostics', '--until-idle', 0.5) as record:
+        with Tool(tmp_path, 'record', out, '--topics', '/wrench', '/diagnostics', '--until-idle', 3) as record:
             source.wait_for_listeners(wrench, chatter)
             for _ in range(20):
                 wrench.publish(message_class(WRENCH)())

@@ -67,6 +67,7 @@ def learn(options):
             checkpoints.save_in_thread(learner.state(), lambda error, count=count: tell(error or 'written', count))
         time.sleep(options.pause_s)
     checkpoints.wait()
+    tell('begun', len(samples))
     checkpoints.save(learner.state())
     tell('written', len(samples))
     tell('finished', len(samples))

@@ -144,13 +144,14 @@ def workers(node):
 
 def kill_workers(node, deaths):
     """SIGKILL for the workers, and for those that replace them, so many times in all."""
+    killed: set[int] = set()
     for _ in range(deaths):
-        known = workers(node)
-        for worker in known:
-            os.kill(worker, signal.SIGKILL)
-        end = time.monotonic() + 3.0
-        while not set(workers(node)) - set(known) and time.monotonic() < end:
+        end = time.monotonic() + 60.0
+        while not (new := set(workers(node)) - killed) and time.monotonic() < end:
             time.sleep(0.01)
+        for worker in new:
+            os.kill(worker, signal.SIGKILL)
+        killed |= new
 
 
 def killed_while_estimating(folder, full):
