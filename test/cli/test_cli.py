@@ -194,8 +194,10 @@ def test_interrupt_gives_130(command):
 
 def test_a_reader_who_leaves_is_no_error():
     buffered = {name: value for name, value in os.environ.items() if name != 'PYTHONUNBUFFERED'}
-    process = subprocess.Popen([*SEMIPARAM, '--help'], stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=buffered)
-    process.stdout.close()
+    reader, pipe = os.pipe()
+    os.close(reader)  # now, for the pipe has room for all that is written: who left later would not be missed
+    process = subprocess.Popen([*SEMIPARAM, '--help'], stdout=pipe, stderr=subprocess.PIPE, env=buffered)
+    os.close(pipe)
     assert process.stderr.read() == b''
     assert process.wait(timeout=60) == 141
 

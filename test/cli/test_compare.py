@@ -298,9 +298,9 @@ def test_a_cluster_that_goes_away_is_named():
     with distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None,
                                   host='127.0.0.1') as cluster:
         leave = threading.Timer(1.0, cluster.close)
-        leave.start()
         with pytest.raises(SemiparamError, match='went away before the work was done'), \
                 parallel.workers(1, cluster.scheduler_address):
+            leave.start()
             parallel.run_all(time.sleep, [(20.0,), (20.0,)])
         leave.join()
 
