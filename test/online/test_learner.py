@@ -953,7 +953,8 @@ def test_a_job_whose_process_is_killed_runs_again_and_those_behind_it_run_once(t
         if name == 'dropped':
             job.cancel()
             dropped = weakref.ref(job)
-    assert dropped() is None, 'what it holds is free as soon as the next one comes'
+    while dropped() is not None:  # what it holds is free as soon as the next one comes
+        time.sleep(0.01)  # unless the thread of the background is just looking through what waits
     results = background.results_of(5)
     background.close()
     runs = {'killed': 2, 'second': 1, 'stopped': 2, 'killed while it sends': 2, 'third': 1}
@@ -1033,8 +1034,9 @@ def test_a_process_that_is_still_loading_does_not_die_of_a_job_that_is_to_give_w
     assert not signal.pthread_sigmask(signal.SIG_BLOCK, []), 'programs of later tests would not hear of Ctrl-C'
 
 
-def wait_for(path, seconds=60.0):
-    """Whether a file comes in that time."""
+def wait_for(path, seconds=np.inf):
+    """Whether a file comes in that time; without one, where a process of low priority has still to load, pytest's own
+    limit is enough."""
     end = time.monotonic() + seconds
     while not path.exists() and time.monotonic() < end:
         time.sleep(0.01)
