@@ -38,6 +38,12 @@ REMEMBERS = {
 }
 
 
+@pytest.fixture(autouse=True)
+def patient(monkeypatch):
+    """A disk that is busy is waited for, as long as pytest lets a test run."""
+    monkeypatch.setattr('semiparam_ros.online.file_thread.PATIENCE_S', None)
+
+
 def stage_of(settings, samples=()):
     stage = Stage(settings, InlineBackground(), build_rigid_body(settings))
     stage.offer(samples)
