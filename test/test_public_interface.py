@@ -15,7 +15,7 @@ from semiparam_ros.settings import dump_params
 def loaded_modules(code: str) -> set[str]:
     """Names of every module that a new process has loaded after running the code."""
     program = f'{code}\nimport sys\nprint(*sys.modules, sep="\\n")'
-    return set(subprocess.run([sys.executable, '-c', program], capture_output=True, text=True, timeout=60,
+    return set(subprocess.run([sys.executable, '-c', program], capture_output=True, text=True,
                               check=True).stdout.split())
 
 
