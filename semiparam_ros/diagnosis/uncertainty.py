@@ -3,7 +3,7 @@
 *Where joints slide.* At a turn, and while a joint is slow, the form of its friction decides what its effort is, and no
 form is exact: what a wrong one leaves there bends the friction, and the inertias beside it, the same way in every
 stretch. So the same model is fitted where joints slide, too (:attr:`Fit.sliding`). It has fewer outputs, so where the
-form is right it knows less; where it knows more, its values are told.
+form is right it knows less; where it knows more, its values are told, but for what acts in none of its samples.
 
 *How much stretches contradict one another.* The model's own covariance takes the law of every effect for exact and the
 noise for what is left on average. Where a law fits less well in one stretch than in another, where noise grows with the
@@ -53,9 +53,16 @@ def estimates(fit: Fit, found: Collection[int], disturbed: Sequence[Samples] = (
 
     :param disturbed: the samples with the errors of their motion once more.
     """
-    fits = (fit, fit.sliding) if fit.body.outputs == 'effort' else (fit,)
-    return min((_estimates(each, found, disturbed) for each in fits),
-               key=lambda each: float(np.log(each.coefficients[1] + 1e-300).mean()))
+    whole = _estimates(fit, found, disturbed)
+    if fit.body.outputs != 'effort':
+        return whole
+    sliding = _estimates(fit.sliding, found, disturbed)
+    if np.log(whole.coefficients[1] + 1e-300).mean() <= np.log(sliding.coefficients[1] + 1e-300).mean():
+        return whole
+    acts = np.zeros(fit.n_columns, dtype=bool)
+    for support, rows in zip(fit.sliding.support, fit.sliding.rows, strict=True):
+        acts[support] |= rows.any(axis=0)
+    return sliding._replace(coefficients=np.where(acts, sliding.coefficients, whole.coefficients))
 
 
 def _estimates(fit: Fit, found: Collection[int], disturbed: Sequence[Samples]) -> Estimates:

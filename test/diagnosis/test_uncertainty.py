@@ -13,6 +13,7 @@ from semiparam_ros.diagnosis.search.refit import fitted_to_all
 from semiparam_ros.diagnosis.text_report import quantity_text
 from semiparam_ros.diagnosis.uncertainty import estimates
 from semiparam_ros.effects import kinds
+from semiparam_ros.effects.base import Span
 from support.arms import ODD_ARM, ODD_BODY, ODD_JOINTS, smooth_motion
 
 BODY = ODD_BODY
@@ -144,6 +145,23 @@ def test_values_of_efforts_are_told_where_joints_slide():
     values, stds = estimates(fit, []).coefficients[:, -2:]
     assert np.all(np.abs(values - [dry, viscous]) < 2.0 * stds)
     assert np.all(stds < [0.01 * dry, 0.02 * viscous])
+
+
+def test_what_acts_only_where_its_joint_is_slow_is_told_by_the_samples_that_it_acts_in():
+    """It was told as 0 with the deviation of its prior: none of its samples is one in which the joint slides."""
+    rng, dry = np.random.default_rng(4), 0.1 * float(EXACT[:, 1].std())
+    velocity, time = MOTION.velocity[:, 1], MOTION.time
+    turn = int(np.flatnonzero(np.diff(np.sign(velocity[100:])))[0]) + 100
+    pushed = (time >= time[turn - 1]) & (time < time[turn + 3])
+    friction = np.zeros_like(EXACT)
+    friction[:, 1] = dry * np.tanh((velocity / (0.03 * np.abs(velocity).max())) ** 3) + 10.0 * dry * pushed
+    samples = replace(MOTION, outputs=EXACT + friction + 3e-3 * EXACT.std(axis=0) * rng.standard_normal(EXACT.shape))
+    effects = [kinds()['coulomb_friction'](BODY.joints[1], {'turn_speed': 1e-4}),
+               kinds()['effort_offset'](BODY.joints[1], span=Span(start_s=time[turn - 1], end_s=time[turn + 3]))]
+    fit = refit_weights(fit_model(BODY, samples, effects, np.ones(len(samples), dtype=bool), np.ones(4)))
+    values, stds = estimates(fit, []).coefficients[:, -2:]
+    assert stds[0] < 0.01 * dry, 'told where joints slide'
+    assert values[1] == fit.theta[-1] == pytest.approx(10.0 * dry, rel=0.1) and stds[1] < dry
 
 
 def test_an_output_that_counts_from_later_on_scatters_in_its_own_stretches_alone():

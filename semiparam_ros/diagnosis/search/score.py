@@ -21,7 +21,9 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import solve
 
+from semiparam_ros.core.compiled import Integers, Matrix, Stack, Vector, compiled
 from semiparam_ros.core.robot.size import reach_of
 from semiparam_ros.core.types import Array, Indices
 from semiparam_ros.diagnosis.config import DiagnosisConfig
@@ -73,42 +75,58 @@ class BlockGrams:
 
     def densities(self, scale: Array, correlation: Array, kept: Indices | None = None) -> Array:
         """(B,) log predictive density of each block given the others, with the columns ``kept`` alone."""
-        normal, right = self._weighed(1.0 / (scale**2 * correlation), kept)
+        weighed = self._weighed(1.0 / (scale**2 * correlation), kept)
         constant = self.power @ (1.0 / (scale**2 * correlation)) \
             + (self.counts / correlation) @ np.log(2.0 * np.pi * scale**2)
-        all_normal, all_right = normal.sum(axis=0), right.sum(axis=0)
-        known = _log_evidence(all_normal, all_right) - _log_evidence(all_normal - normal, all_right - right)
-        return np.asarray(known - 0.5 * constant)
+        whole = weighed.sum(axis=0)
+        return np.asarray(_log_evidence(whole) - _log_evidence(whole - weighed) - 0.5 * constant)
 
     def scale_with(self, kept: Indices, scale: Array) -> Array:
         """(n,) root mean square of what the columns ``kept`` leave, fitted with the weights of a ``scale`` (n,)."""
-        normal, right = self.whole._weighed(scale**-2.0, kept)
-        theta = np.zeros(len(self.prior))
-        theta[kept] = np.linalg.solve(normal[0] + np.eye(len(kept)), right[0]) * self.prior[kept]
+        weighed, theta = self.whole._weighed(scale**-2.0, kept)[0], np.zeros(len(self.prior))
+        solved = solve(weighed[:-1, :-1] + np.eye(len(kept)), weighed[-1, :-1], lower=True, assume_a='pos')
+        theta[kept] = solved * self.prior[kept]
         squares = [float(power) - 2.0 * own @ channel.moment[0] + own @ channel.gram[0] @ own
                    for power, channel in zip(self.whole.power[0], self.whole.channels, strict=True)
                    for own in [theta[channel.acting]]]
         return np.asarray(np.sqrt(np.maximum(squares, 1e-12 * self.power.sum(axis=0)) / self.counts.sum(axis=0)))
 
-    def _weighed(self, weights: Array, kept: Indices | None) -> tuple[Array, Array]:
-        count = len(self.prior)
-        normal, right = np.zeros((len(self.power), count, count)), np.zeros((len(self.power), count))
-        for channel, weight in zip(self.channels, weights, strict=True):
-            normal[:, channel.acting[:, None], channel.acting] += weight * channel.gram
-            right[:, channel.acting] += weight * channel.moment
-        prior = self.prior
-        if kept is not None:
-            normal, right, prior = normal[:, kept[:, None], kept], right[:, kept], prior[kept]
-        return normal * prior[:, None] * prior, right * prior
+    def _weighed(self, weights: Array, kept: Indices | None) -> Array:
+        """(B, p + 1, p + 1) lower triangles of S (sum_k w_k C_k' C_k) S, with b below them, of the columns ``kept``."""
+        kept = np.arange(len(self.prior)) if kept is None else kept
+        places = np.full(len(self.prior), -1)
+        places[kept] = np.arange(len(kept))
+        weighed = np.zeros((len(self.power), len(kept) + 1, len(kept) + 1))
+        for channel, weight in zip(self.channels, weights.tolist(), strict=True):
+            _add(weighed, channel.gram, np.ascontiguousarray(channel.moment), places[channel.acting],
+                 self.prior[channel.acting], weight)
+        return weighed
 
 
-def _log_evidence(normal: Array, right: Array) -> Array:
-    """log Z without its terms that hold no column, of one or of many."""
+@compiled
+def _add(weighed: Stack, gram: Stack, moment: Matrix, places: Integers, prior: Vector, weight: float) -> None:
+    """Add one channel's products to those of all; its columns are in order, and those at -1 are left out."""
+    for block in range(len(gram)):
+        for i in range(len(places)):
+            if places[i] < 0:
+                continue
+            row, scale = weighed[block, places[i]], weight * prior[i]
+            weighed[block, -1, places[i]] += scale * moment[block, i]
+            for j in range(i + 1):
+                if places[j] >= 0:
+                    row[places[j]] += scale * prior[j] * gram[block, i, j]
+
+
+def _log_evidence(weighed: Array) -> Array:
+    """log Z without its terms that hold no column, of one or of many lower triangles with b below them."""
+    diagonal, right = np.diagonal(weighed, axis1=-2, axis2=-1)[..., :-1], weighed[..., -1, :-1]
     # Without noise, sums of squares hold no digits of the prior's: 1e-13 of each is rounding.
-    whole = normal + (1.0 + 1e-13 * normal) * np.eye(normal.shape[-1])
-    logarithm = np.log(np.diagonal(np.linalg.cholesky(whole), axis1=-2, axis2=-1)).sum(axis=-1)
-    solved = np.linalg.solve(whole, right[..., None])[..., 0]
-    return np.asarray(0.5 * (right * solved).sum(axis=-1) - logarithm)
+    added = 1.0 + 1e-13 * diagonal
+    # K = L L' and the row below it, b' L^-T, whose corner only has to be large enough: b' K^-1 b is at most b' b.
+    corner = 1.0 + 2.0 * (right**2).sum(axis=-1, keepdims=True) - weighed[..., -1, -1:]
+    root = np.linalg.cholesky(weighed + np.concatenate([added, corner], axis=-1)[..., None] * np.eye(weighed.shape[-1]))
+    logarithm = np.log(np.diagonal(root, axis1=-2, axis2=-1)[..., :-1]).sum(axis=-1)
+    return np.asarray(0.5 * (root[..., -1, :-1] ** 2).sum(axis=-1) - logarithm)
 
 
 def block_grams(fit: Fit) -> BlockGrams:
