@@ -1,16 +1,25 @@
 """Ctrl-C before a command listens for it: remembered, for Python may lose it.
 
 A KeyboardInterrupt that is raised where Python ignores exceptions, as in the callback by which an import lets go of its
-lock, is printed and forgotten. Of a command that loads for seconds it is then as if nobody had pressed the keys.
+lock, is printed and forgotten. Of a command that loads for seconds it is then as if nobody had pressed the keys. So it
+is raised again.
 """
 
 from __future__ import annotations
 
 import signal
+import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from sys import UnraisableHookArgs
+
+AGAIN_S = 0.1
+"""An ignored Ctrl-C comes again so much later, when what ignored it is over."""
 
 
 class Interrupt:
@@ -18,10 +27,20 @@ class Interrupt:
 
     def __init__(self) -> None:
         self.came = False
+        self.again: threading.Timer | None = None
 
     def __call__(self, number: int, frame: FrameType | None) -> None:
         self.came = True
         signal.default_int_handler(number, frame)
+
+    def ignored(self, what: UnraisableHookArgs) -> None:
+        """What ``sys.unraisablehook`` is meanwhile."""
+        if issubclass(what.exc_type, KeyboardInterrupt):
+            self.again = threading.Timer(AGAIN_S, signal.raise_signal, [signal.SIGINT])
+            self.again.daemon = True
+            self.again.start()
+        else:
+            sys.__unraisablehook__(what)
 
 
 @contextmanager
@@ -31,8 +50,13 @@ def remember_interrupts() -> Iterator[None]:
     if (threading.current_thread() is threading.main_thread()
             and signal.getsignal(signal.SIGINT) is signal.default_int_handler):
         signal.signal(signal.SIGINT, ours)
+        sys.unraisablehook = ours.ignored
     try:
         yield
     finally:
+        if ours.again is not None:
+            ours.again.cancel()
+        if sys.unraisablehook == ours.ignored:
+            sys.unraisablehook = sys.__unraisablehook__
         if signal.getsignal(signal.SIGINT) is ours:
             signal.signal(signal.SIGINT, signal.default_int_handler)

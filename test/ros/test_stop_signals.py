@@ -203,6 +203,28 @@ sys.exit(main(['run', '--params', sys.argv[1]]))
         assert group.code() == 0 and 'swallowed' in group.output, group.output
 
 
+def test_ctrl_c_that_python_ignores_comes_again():
+    """It was printed as 'Exception ignored in ...' with a traceback, and the command went on."""
+    program = """
+import os, signal, time, weakref
+from semiparam_ros.interrupts import remember_interrupts
+
+class Thing:
+    pass
+
+thing = Thing()
+reference = weakref.ref(thing, lambda _: os.kill(os.getpid(), signal.SIGINT))
+try:
+    with remember_interrupts():
+        del thing
+        time.sleep(60.0)
+except KeyboardInterrupt:
+    print('interrupted')
+"""
+    found = subprocess.run([sys.executable, '-c', program], capture_output=True, text=True, check=True)
+    assert (found.stdout, found.stderr) == ('interrupted\n', '')
+
+
 def test_a_second_ctrl_c_gives_the_terminal_back(tmp_path, ros_domain):
     write_bag(tmp_path / 'a.mcap', motion(500))
     ours, theirs = pty.openpty()
