@@ -337,14 +337,17 @@ def _first_model(body: RigidBody, samples: Samples, effects: Sequence[Effect],
 
 def _decided(final: Fit, steps: list[Step], start: _Start) -> Mask:
     """(M,) the held-out samples of which the final model can say what acts on them: not those between samples that
-    fitted where an effect began or ended, for nothing told when, unless with a recording. All of them where none is
+    fitted where an effect began or ended, for nothing told when, unless with a recording. Neighbours that count as one
+    tell no better: what began with the second sample after a gap may have begun in the gap. All of them where none is
     left."""
     decided, fitting, breaks = start.held_out.copy(), np.flatnonzero(start.fitting), breaks_s(final.samples)
+    alike = int(np.ceil(final.correlation.min()))
     for effect in (final.effects[index] for index, _ in places_in(final, steps)):
         for time_s in set(effect.span.values.values()).difference(breaks):
             after = int(np.searchsorted(final.samples.time[fitting], time_s))
             if 0 < after < len(fitting):
-                decided[fitting[after - 1]:fitting[after]] = False
+                before, behind = max(after - 1 - alike, 0), min(after + alike, len(fitting) - 1)
+                decided[fitting[before]:fitting[behind]] = False
     return decided if decided.any() else start.held_out
 
 

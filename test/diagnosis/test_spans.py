@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from semiparam_ros.diagnosis.config import DEFAULTS
-from semiparam_ros.diagnosis.diagnose import diagnose
+from semiparam_ros.diagnosis.diagnose import _decided, diagnose
 from semiparam_ros.diagnosis.search.moves import Move, ending_moves, simplest
 from semiparam_ros.diagnosis.search.plausibility import all_plausible
 from semiparam_ros.diagnosis.search.refit import declare
@@ -150,3 +150,16 @@ def test_what_the_description_leaves_open_is_taken_before_a_wrong_zero_that_is_h
     monkeypatch.setattr('semiparam_ros.diagnosis.search.moves.gain', over)
     zero, rotor = kinds()['joint_offset']('turn', {'offset': 0.2}), kinds()['rotor_inertia']('elbow')
     assert simplest([move(zero, 28.0), move(rotor, 20.0)]).added[0].kind == kind
+
+
+@pytest.mark.parametrize(('late', 'judges'), [(0, False), (1, False), (40, True)])
+def test_a_start_just_behind_a_gap_may_lie_within_it(late, judges):
+    """A load was told one sample after a gap: the second before, in which it was there, judged as if it was not."""
+    samples, gap = smooth_motion(2, 400), slice(150, 200)
+    effect = kinds()['payload']('tool', span=Span(start_s=float(samples.time[gap.stop + late])))
+    held_out = np.zeros(400, dtype=bool)
+    held_out[gap] = held_out[300:] = True
+    final = SimpleNamespace(effects=(effect,), samples=samples, correlation=np.array([7.0, 1.3]))
+    judged = _decided(final, [SimpleNamespace(added=(effect,))],
+                      SimpleNamespace(held_out=held_out, fitting=~held_out))
+    assert judged[gap].all() == judged[gap].any() == judges and judged[300:].all()

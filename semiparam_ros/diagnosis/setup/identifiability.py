@@ -72,8 +72,8 @@ def _unseen(body: RigidBody, samples: Samples, config: DiagnosisConfig) -> list[
     if not names:
         return []
     return [f'The motion does not show how heavy every part is: masses or centres of mass of {listed(names)} stay at '
-            'the robot description, and effects that act like them cannot be seen. Move more joints through more '
-            'of their range.']
+            'the robot description, and effects that act like them cannot be seen. Move more joints, further or '
+            'faster.']
 
 
 def unseen_bodies(body: RigidBody, samples: Samples, config: DiagnosisConfig = DEFAULTS) -> list[str]:
