@@ -34,7 +34,7 @@ class Interrupt:
         signal.default_int_handler(number, frame)
 
     def ignored(self, what: UnraisableHookArgs) -> None:
-        """What ``sys.unraisablehook`` is meanwhile."""
+        """Take the place of ``sys.unraisablehook`` meanwhile."""
         if issubclass(what.exc_type, KeyboardInterrupt):
             self.again = threading.Timer(AGAIN_S, signal.raise_signal, [signal.SIGINT])
             self.again.daemon = True

@@ -123,7 +123,7 @@ with RosProcess([], lambda: None) as ros:
     offer()
     call_in_executor(node, replace)
     end = time.monotonic() + 60.0
-    while not (count := source.count_subscribers('/wrench')) and time.monotonic() < end:
+    while (count := source.count_subscribers('/wrench')) != 1 and time.monotonic() < end:  # one goes, another comes
         time.sleep(0.1)
     print(call_in_executor(node, lambda: 'alive'), count, flush=True)
 """
