@@ -152,8 +152,8 @@ def test_what_the_description_leaves_open_is_taken_before_a_wrong_zero_that_is_h
     assert simplest([move(zero, 28.0), move(rotor, 20.0)]).added[0].kind == kind
 
 
-@pytest.mark.parametrize(('late', 'judges'), [(0, False), (1, False), (40, True)])
-def test_a_start_just_behind_a_gap_may_lie_within_it(late, judges):
+@pytest.mark.parametrize(('late', 'judges'), [(-51, False), (0, False), (1, False), (40, True)])
+def test_a_start_just_beside_a_gap_may_lie_within_it(late, judges):
     """A load was told one sample after a gap: the second before, in which it was there, judged as if it was not."""
     samples, gap = smooth_motion(2, 400), slice(150, 200)
     effect = kinds()['payload']('tool', span=Span(start_s=float(samples.time[gap.stop + late])))

@@ -118,6 +118,18 @@ with StopSignals(lambda: print('asked', flush=True)):
         assert group.output == 'ready\nasked\n'
 
 
+def test_what_waits_together_is_one_wish_however_late_it_is_looked_at():
+    """The second of two signals ended a node at once where it had its turn half a second after the first."""
+    program = READY + """
+with StopSignals(lambda: time.sleep(0.7)) as signals:
+    os.write(signals._write, bytes([2, 15]))
+    time.sleep(1.5)
+    print(signals.signal, 'alive')
+"""
+    found = subprocess.run([sys.executable, '-c', program], capture_output=True, text=True, check=True)
+    assert found.stdout == '2 alive\n'
+
+
 def test_without_a_signal_everything_is_as_before():
     program = READY + """
 import signal
@@ -203,7 +215,8 @@ sys.exit(main(['run', '--params', sys.argv[1]]))
         assert group.code() == 0 and 'swallowed' in group.output, group.output
 
 
-def test_ctrl_c_that_python_ignores_comes_again():
+@pytest.mark.parametrize(('lasts_s', 'wanted'), [(60.0, 'interrupted'), (0.0, 'over before')])
+def test_ctrl_c_that_python_ignores_comes_again(lasts_s, wanted):
     """It was printed as 'Exception ignored in ...' with a traceback, and the command went on."""
     program = """
 import os, signal, time, weakref
@@ -217,12 +230,14 @@ reference = weakref.ref(thing, lambda _: os.kill(os.getpid(), signal.SIGINT))
 try:
     with remember_interrupts():
         del thing
-        time.sleep(60.0)
+        time.sleep(LASTS_S)
+    time.sleep(0.5)
+    print('over before')
 except KeyboardInterrupt:
     print('interrupted')
-"""
+""".replace('LASTS_S', str(lasts_s))
     found = subprocess.run([sys.executable, '-c', program], capture_output=True, text=True, check=True)
-    assert (found.stdout, found.stderr) == ('interrupted\n', '')
+    assert (found.stdout, found.stderr) == (f'{wanted}\n', '')
 
 
 def test_a_second_ctrl_c_gives_the_terminal_back(tmp_path, ros_domain):
