@@ -28,6 +28,7 @@ class Interrupt:
     def __init__(self) -> None:
         self.came = False
         self.again: threading.Timer | None = None
+        self.usual = sys.unraisablehook
 
     def __call__(self, number: int, frame: FrameType | None) -> None:
         self.came = True
@@ -40,7 +41,7 @@ class Interrupt:
             self.again.daemon = True
             self.again.start()
         else:
-            sys.__unraisablehook__(what)
+            self.usual(what)
 
 
 @contextmanager
@@ -57,6 +58,6 @@ def remember_interrupts() -> Iterator[None]:
         if ours.again is not None:
             ours.again.cancel()
         if sys.unraisablehook == ours.ignored:
-            sys.unraisablehook = sys.__unraisablehook__
+            sys.unraisablehook = ours.usual
         if signal.getsignal(signal.SIGINT) is ours:
             signal.signal(signal.SIGINT, signal.default_int_handler)
