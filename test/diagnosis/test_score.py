@@ -79,6 +79,16 @@ def test_a_density_is_that_of_the_block_given_all_the_others(seed, n, blocks, p)
                                rtol=1e-9, atol=1e-9)
 
 
+def test_columns_that_repeat_each_other_without_noise_are_fitted_all_the_same():
+    """Squares of 1e14 hold no digits of the prior's: their factor was singular."""
+    rng = np.random.default_rng(0)
+    columns = 1e6 * rng.standard_normal((24, 50, 10)) @ rng.standard_normal((10, 40))
+    known = grams(columns[None], (columns @ np.ones(40))[None], np.full(40, 3.0), 24)
+    fitted_scale = known.scale_with(np.arange(20), np.ones(1))
+    assert 0.0 < fitted_scale[0] < 1e-5 * columns.std()
+    assert np.isfinite(known.densities(np.ones(1), np.ones(1), np.arange(20))).all()
+
+
 def test_the_grams_of_a_model_are_those_of_its_columns():
     fit = fitted(moving(), [KINDS['viscous_friction']('turn'), KINDS['joint_offset']('grip', {'offset': 0.0})])
     edges, found = block_edges(fit), block_grams(fit)

@@ -21,7 +21,7 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import solve
+from scipy.linalg import solve_triangular
 
 from semiparam_ros.core.compiled import Integers, Matrix, Stack, Vector, compiled
 from semiparam_ros.core.robot.size import reach_of
@@ -83,9 +83,8 @@ class BlockGrams:
 
     def scale_with(self, kept: Indices, scale: Array) -> Array:
         """(n,) root mean square of what the columns ``kept`` leave, fitted with the weights of a ``scale`` (n,)."""
-        weighed, theta = self.whole._weighed(scale**-2.0, kept)[0], np.zeros(len(self.prior))
-        solved = solve(weighed[:-1, :-1] + np.eye(len(kept)), weighed[-1, :-1], lower=True, assume_a='pos')
-        theta[kept] = solved * self.prior[kept]
+        root, theta = _root(self.whole._weighed(scale**-2.0, kept)[0]), np.zeros(len(self.prior))
+        theta[kept] = solve_triangular(root[:-1, :-1], root[-1, :-1], trans='T', lower=True) * self.prior[kept]
         squares = [float(power) - 2.0 * own @ channel.moment[0] + own @ channel.gram[0] @ own
                    for power, channel in zip(self.whole.power[0], self.whole.channels, strict=True)
                    for own in [theta[channel.acting]]]
@@ -117,14 +116,20 @@ def _add(weighed: Stack, gram: Stack, moment: Matrix, places: Integers, prior: V
                     row[places[j]] += scale * prior[j] * gram[block, i, j]
 
 
-def _log_evidence(weighed: Array) -> Array:
-    """log Z without its terms that hold no column, of one or of many lower triangles with b below them."""
+def _root(weighed: Array) -> Array:
+    """(..., p + 1, p + 1) L of K = L L', with b' L^-T below it, of one or of many lower triangles with b below them."""
     diagonal, right = np.diagonal(weighed, axis1=-2, axis2=-1)[..., :-1], weighed[..., -1, :-1]
     # Without noise, sums of squares hold no digits of the prior's: 1e-13 of each is rounding.
     added = 1.0 + 1e-13 * diagonal
-    # K = L L' and the row below it, b' L^-T, whose corner only has to be large enough: b' K^-1 b is at most b' b.
-    corner = 1.0 + 2.0 * (right**2).sum(axis=-1, keepdims=True) - weighed[..., -1, -1:]
-    root = np.linalg.cholesky(weighed + np.concatenate([added, corner], axis=-1)[..., None] * np.eye(weighed.shape[-1]))
+    # The corner only has to be large enough: b' K^-1 b is at most b' b.
+    corner = 1.0 + 2.0 * (right**2).sum(axis=-1, keepdims=True)
+    whole = weighed + np.concatenate([added, corner], axis=-1)[..., None] * np.eye(weighed.shape[-1])
+    return np.asarray(np.linalg.cholesky(whole))
+
+
+def _log_evidence(weighed: Array) -> Array:
+    """log Z without its terms that hold no column, of one or of many lower triangles with b below them."""
+    root = _root(weighed)
     logarithm = np.log(np.diagonal(root, axis1=-2, axis2=-1)[..., :-1]).sum(axis=-1)
     return np.asarray(0.5 * (root[..., -1, :-1] ** 2).sum(axis=-1) - logarithm)
 
