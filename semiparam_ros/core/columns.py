@@ -1,4 +1,4 @@
-"""The coupled columns C = [psi | friction | offset | effects]: everything of the output that is
+"""The coupled columns C = [psi | friction | rotors | offset | effects]: everything of the output that is
 linear in theta."""
 
 from __future__ import annotations
@@ -11,10 +11,11 @@ import numpy as np
 
 from semiparam_ros.core.robot.joint_friction import (
     KINDS,
-    fill_friction,
-    friction_columns,
+    fill_joints,
     friction_prior,
+    joint_columns,
     offset_prior,
+    rotor_prior,
 )
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.robot.size import base_scale, bias_scale
@@ -146,7 +147,7 @@ class Absent(ColumnBlock):
 class CoupledColumns:
     """Assembles C for a rigid body and its declared effects; a wrench always has a constant offset.
 
-    :param joint_friction: with joint efforts, friction and offset of every output
+    :param joint_friction: with joint efforts, friction, rotor and offset of every output
         (``robot.joint_friction``).
     :param physical: the prior of theta is as wide as the robot is large, about its description;
         False: gamma^2 I about zero, as in the paper.
@@ -173,10 +174,6 @@ class CoupledColumns:
         return CoupledColumns(self.body, (), self.has_friction, self.physical)
 
     @property
-    def _n_friction(self) -> int:
-        return KINDS * self.body.n_outputs * self.has_friction
-
-    @property
     def n_columns(self) -> int:
         """p, all blocks together."""
         return self.n_own + self.n_effects
@@ -188,15 +185,20 @@ class CoupledColumns:
 
     @property
     def n_own(self) -> int:
-        """Columns of the rigid body, friction and the offset, before those of the effects."""
-        return self.body.n_parameters + self._n_friction + self._offset.shape[1]
+        """Columns of the rigid body, friction, rotors and the offset, before those of the effects."""
+        return self.body.n_parameters + (KINDS + 1) * self._n_joints + self._offset.shape[1]
+
+    @property
+    def _n_joints(self) -> int:
+        """Outputs that have friction and a rotor."""
+        return self.body.n_outputs * self.has_friction
 
     @property
     def blocks(self) -> dict[str, slice]:
-        """Places of the rigid body, friction and the offset in theta, each effect under its place
-        in the list."""
-        sizes = {'rigid_body': self.body.n_parameters, 'friction': self._n_friction,
-                 'offset': self._offset.shape[1]}
+        """Places of the rigid body, friction, rotors and the offset in theta, each effect under its
+        place in the list."""
+        sizes = {'rigid_body': self.body.n_parameters, 'friction': KINDS * self._n_joints,
+                 'rotor': self._n_joints, 'offset': self._offset.shape[1]}
         sizes |= {str(index): len(scale) for index, scale in enumerate(self._effect_scales)}
         ends = np.cumsum(list(sizes.values())).tolist()
         return {name: slice(end - size, end) for (name, size), end in zip(sizes.items(), ends, strict=True)}
@@ -210,12 +212,12 @@ class CoupledColumns:
     @property
     def prior_scale(self) -> Array:
         """(p,) prior standard deviation of theta over gamma: 1 for inertial parameters unless
-        ``physical``, wide for the offset of a wrench, of the joint's size for friction, a share of that for the
-        offset of an effort."""
+        ``physical``, wide for the offset of a wrench, of the joint's size for friction and rotor, a share of that
+        for the offset of an effort."""
         rigid = base_scale(self.body) if self.physical else np.ones(self.body.n_parameters)
         joints = list[Array]()
         if self.has_friction:
-            joints = [friction_prior(self.body), offset_prior(self.body)]
+            joints = [friction_prior(self.body), rotor_prior(self.body), offset_prior(self.body)]
         elif self.has_offset:
             joints = [bias_scale(self.body)]
         return np.concatenate([rigid, *joints, *self._effect_scales])
@@ -259,9 +261,9 @@ class CoupledColumns:
         return columns, [(moved, entry[1]) for moved, entry in zip(corrected, past, strict=True)]
 
     def _fill_joints(self, sample: Sample, columns: Array) -> None:
-        """Friction, and effects that are computed at once, into the columns (n, p) of a sample."""
+        """Friction, rotors, and effects that are computed at once, into the columns (n, p) of a sample."""
         if self.has_friction:
-            fill_friction(self.body, sample.velocity, columns)
+            fill_joints(self.body, sample.velocity, sample.acceleration, columns)
         for (joints, _, functions), places in self._at_once:
             motion = sample.position[joints], sample.velocity[joints], sample.acceleration[joints]
             columns.reshape(-1)[places] = functions(*motion)
@@ -335,7 +337,7 @@ class CoupledColumns:
                      past: Sequence[Memory] = ()) -> tuple[Array, list[Memory]]:
         """(N, n, p) columns from what :meth:`corrected` gives, and what the effects remember of
         them."""
-        parts, added = [self.rigid(body, inputs), self.friction(inputs), self.offset(len(inputs))], []
+        parts, added = [self.rigid(body, inputs), self.joints(inputs), self.offset(len(inputs))], []
         for index, memory in enumerate(past or [None] * len(self.effects)):
             columns, remembered = self._of_effect(index, body, inputs, memory)
             parts.append(columns)
@@ -347,10 +349,10 @@ class CoupledColumns:
         alone."""
         return self._shaped(body, body.regressors(inputs))
 
-    def friction(self, inputs: Samples) -> Array:
-        """(N, n, f) those of the joints' friction; f = 0 where there is none."""
+    def joints(self, inputs: Samples) -> Array:
+        """(N, n, f) those of the joints' friction and rotors; f = 0 where there is none."""
         if self.has_friction:
-            return friction_columns(self.body, inputs.velocity)
+            return joint_columns(self.body, inputs.velocity, inputs.acceleration)
         return np.zeros((len(inputs), self.body.n_outputs, 0))
 
     def offset(self, count: int) -> Array:

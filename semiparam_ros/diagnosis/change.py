@@ -36,7 +36,7 @@ from semiparam_ros.diagnosis.search.stepwise import starting_fit
 from semiparam_ros.diagnosis.uncertainty import estimates
 from semiparam_ros.effects import Effect, kinds
 from semiparam_ros.effects.base import Span
-from semiparam_ros.effects.drive import EffortOffset
+from semiparam_ros.effects.drive import EffortOffset, RotorInertia
 from semiparam_ros.effects.friction import CoulombFriction, ViscousFriction
 
 
@@ -209,7 +209,7 @@ def _friction(body: RigidBody) -> list[Effect]:
     (``core.robot.joint_friction``)."""
     found: list[Effect] = []
     for joint in body.output_names if body.outputs == 'effort' else ():
-        found += [ViscousFriction(joint), EffortOffset(joint), *(
+        found += [ViscousFriction(joint), RotorInertia(joint), EffortOffset(joint), *(
             CoulombFriction(joint, {'turn_speed': speed}) for speed in TURN_SPEEDS.tolist())]
     return found
 

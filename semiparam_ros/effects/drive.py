@@ -9,9 +9,8 @@ from typing import ClassVar
 import numpy as np
 
 from semiparam_ros.core.columns import ColumnBlock, Memory
-from semiparam_ros.core.robot.joint_friction import TOP_SPEED, friction_scale
+from semiparam_ros.core.robot.joint_friction import rotor_prior
 from semiparam_ros.core.robot.rigid_body import RigidBody
-from semiparam_ros.core.robot.size import radians
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array
 from semiparam_ros.effects.base import ALWAYS, Axis, Coefficient, Effect, Values, channel_index, joint_index, on_joint
@@ -43,14 +42,8 @@ class RotorInertia(JointEffect):
     names: ClassVar[tuple[Coefficient, ...]] = (Coefficient('inertia', 'kg m^2'),)
 
     def prior_scale(self, body: RigidBody) -> Array:
-        """Prior standard deviation (1,) by the torque for which the joint is geared, not by what it carries: that of
-        friction, at the acceleration of a swing by a radian at top speed.
-
-        A rotor counts by the square of its gear, and so for many times the links of a small arm.
-        """
-        channel = channel_index(body, self.where)
-        acceleration = TOP_SPEED**2 * radians(body)[body.output_index[channel]]
-        return friction_scale(body)[[channel]] / acceleration
+        """Prior standard deviation (1,) as in every model of efforts (``core.robot.joint_friction``)."""
+        return rotor_prior(body)[[channel_index(body, self.where)]]
 
     def functions(self, position: Array, velocity: Array, acceleration: Array) -> Array:
         return acceleration[:, None]

@@ -46,6 +46,8 @@ DYNAMICS = {
     'rotor_inertia': {'inertia': ('armature', 1.0)},
 }
 """Meaning of effects' coefficients to a simulator; of both directions it takes the mean."""
+OWN_DYNAMICS = {'viscous': 'damping', 'rotor': 'armature'}
+"""The same of the columns that every model of efforts has; others are dry friction."""
 SURE = 2.0
 """Standard deviations above zero from which on the mass of a load is one."""
 PARAMETERS = 10.0
@@ -341,10 +343,9 @@ def _dynamics(columns: CoupledColumns) -> list[tuple[str, str, Array]]:
 
     if columns.has_friction:
         start = columns.blocks['friction'].start
-        for kind, name in enumerate(NAMES):
+        for kind, name in enumerate((*NAMES, 'rotor')):  # rotors stand after friction
             for number, joint in enumerate(body.output_names):
-                add(joint, 'damping' if name == 'viscous' else 'friction',
-                    start + kind * body.n_outputs + number, 1.0)
+                add(joint, OWN_DYNAMICS.get(name, 'friction'), start + kind * body.n_outputs + number, 1.0)
     for index, effect in enumerate(columns.effects):
         over = isinstance(effect, Effect) and effect.ends
         roles = {} if over else DYNAMICS.get(effect.kind, {})

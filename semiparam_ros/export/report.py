@@ -67,6 +67,8 @@ def lines(found: Identified) -> list[str]:
         joints.setdefault(each.joint, []).append(
             f'{each.name} {each.value:.4g} +- {each.std:.2g} {each.unit}')
     lines += [f'{joint}: {", ".join(values)}.' for joint, values in joints.items()]
+    if any(each.name == 'armature' and each.value for each in found.joints):
+        lines.append('A robot description holds no armature; MuJoCo models and the JSON file do.')
     for load in found.loads:
         since = '' if load.start_s is None else f', since {load.start_s:.1f} s'
         lines.append(f'load at {load.link}: {load.mass:.4g} +- {load.mass_std:.2g} kg, centre '

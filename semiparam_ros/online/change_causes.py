@@ -58,7 +58,7 @@ def causes_of(columns: CoupledColumns) -> tuple[list[Cause], Array]:
     turn_scale = np.concatenate([BaseShift().prior_scale(body), *zeros])
     own = np.diag(np.append(_change_scale(columns), turn_scale))
     causes, parts = list[Cause](), list[Array]()
-    rigid, offset, friction = (blocks[name] for name in ('rigid_body', 'offset', 'friction'))
+    rigid, offset, friction, rotor = (blocks[name] for name in ('rigid_body', 'offset', 'friction', 'rotor'))
     own[rigid, rigid] = np.diag(base_scale(body))
 
     def add(kind: str, where: str | None, directions: Array, price: float) -> None:
@@ -83,6 +83,7 @@ def causes_of(columns: CoupledColumns) -> tuple[list[Cause], Array]:
     add(BaseShift.kind, None, own[:, turns.start : turns.start + TILTS], price)
     for number, joint in enumerate(body.joints, start=turns.start + TILTS):
         add(ZeroSlip.kind, joint, own[:, [number]], price)
+    parts.append(own[:, rotor])  # of no cause, but learnt
     add('', None, own[:, rigid], price + log(RARE))
     return causes, np.hstack(parts)
 
@@ -102,9 +103,8 @@ def load_directions(columns: CoupledColumns) -> Array:
 
 def friction_directions(columns: CoupledColumns) -> Array:
     """(q, k) the coefficients of friction and offsets, in units of what they may change by."""
-    chosen = np.ones(columns.n_own, dtype=bool)
-    chosen[columns.blocks['rigid_body']] = False
-    return np.diag(_change_scale(columns))[:, chosen]
+    places = np.r_[columns.blocks['friction'], columns.blocks['offset']]
+    return np.diag(_change_scale(columns))[:, places]
 
 
 def _change_scale(columns: CoupledColumns) -> Array:

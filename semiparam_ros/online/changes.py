@@ -342,12 +342,8 @@ class ChangeDetector:
     def __init__(self, columns: CoupledColumns, told: int = 0) -> None:
         self.causes, self._directions = causes_of(columns)
         self._n_own = columns.n_own
-        own = [
-            np.arange(*cause.part.indices(self._directions.shape[1]))
-            for cause in self.causes[1:]
-            if self._directions[: self._n_own, cause.part].any()
-        ]
-        self._own_part = np.concatenate(own)
+        after_load = self._directions[: self._n_own, self.causes[0].part.stop :]
+        self._own_part = self.causes[0].part.stop + np.flatnonzero(after_load.any(axis=0))
         """(q,) the directions that are columns of the model, each in units of its prior."""
         self._own_columns = np.abs(self._directions[:, self._own_part]).argmax(axis=0)
         self._own_scale = self._directions[self._own_columns, self._own_part]

@@ -32,6 +32,8 @@ BROAD = 100.0
 """[kg, kg m, kg m^2] Standard deviation of a load's parameters before anything is known of them."""
 KNOWN_AT_BEST, SHARES = 1e-12, 200
 """Of the prior's, the variance that a combination of parameters has at least; number of shares tried."""
+EXCLUDED = 3.84
+"""Twice the log of a ratio of likelihoods that excludes a value, at 95 %."""
 
 
 class Excitation:
@@ -204,15 +206,16 @@ def _load_and_description(body: RigidBody, link: str) -> tuple[Array, Array, Arr
 
 
 def _wrong_by(beyond: Array, covariance: Array, prior: Array) -> float:
-    """Share s of the prior covariance (k, k) by which a description errs: the likeliest where what was learnt beyond it
-    (k,) is of N(0, covariance + s prior)."""
+    """Share s of the prior covariance (k, k) by which a description errs, where what was learnt beyond it (k,) is of
+    N(0, covariance + s prior): the largest that the ratio of likelihoods does not exclude."""
     if not len(beyond):
         return 0.0
     values, vectors = eigh(covariance, prior)
     known, seen = np.maximum(values, KNOWN_AT_BEST), (vectors.T @ beyond)**2
     shares = np.append(0.0, np.geomspace(known.min(), max(seen.max(), known.min()), SHARES))
     variance = known + shares[:, None]
-    return float(shares[np.argmin((np.log(variance) + seen / variance).sum(axis=1))])
+    unlikely = (np.log(variance) + seen / variance).sum(axis=1)
+    return float(shares[unlikely <= unlikely.min() + EXCLUDED].max())
 
 
 def is_shown(load: Load) -> bool:
@@ -256,6 +259,7 @@ def _labels(columns: CoupledColumns) -> list[tuple[str, str]]:
     if columns.has_friction:
         labels += [(f'{name}@{joint}', body.joint_unit(joint, unit)) for name, unit in zip(NAMES, UNITS, strict=True)
                    for joint in body.output_names]
+        labels += [(f'rotor@{joint}', body.joint_unit(joint, 'kg m^2')) for joint in body.output_names]
     if columns.has_offset:
         labels += [(f'offset_{axis}', unit) for axis, unit in zip(body.output_names, body.output_units, strict=True)]
     for effect in columns.effects:

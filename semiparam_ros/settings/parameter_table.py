@@ -208,8 +208,8 @@ class Table:
         'effects_reference', (), 'Base parameters that predict the load on which effects such as load_friction depend; '
         'a diagnosis writes them. Empty: those of the robot description.', live=True)
     joint_friction: bool = declare(
-        'joint_friction', True, 'With outputs effort, viscous and dry friction and an offset of every output joint are '
-        "part of the rigid body's model. false: the rigid body alone, as in the paper.", live=True)
+        'joint_friction', True, 'With outputs effort, viscous and dry friction, rotor inertia and an offset of every '
+        "output joint are part of the rigid body's model. false: the rigid body alone, as in the paper.", live=True)
     priors: str = declare(
         'priors', PRIORS[0], 'What is held of the model before anything is measured. physical: the inertias are near '
         'the robot description, as far as the robot is large; random features explain no more than the rigid body '

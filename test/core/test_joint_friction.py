@@ -1,4 +1,4 @@
-"""Friction and offset of the joints as part of the rigid body's model of efforts."""
+"""Friction, rotor and offset of the joints as part of the rigid body's model of efforts."""
 
 from dataclasses import replace
 
@@ -15,8 +15,8 @@ from semiparam_ros.core.robot.joint_friction import (
     OFFSET_SHARE,
     TOP_SPEED,
     TURN_SPEEDS,
-    friction_columns,
     friction_scale,
+    joint_columns,
     turning_variance,
 )
 from semiparam_ros.core.robot.rigid_body import RigidBody
@@ -26,22 +26,25 @@ from support.arms import ODD_ARM, ODD_BODY, ODD_JOINTS, icub, smooth_motion
 ARM = ODD_BODY
 TWO_OF_FOUR = RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, 'effort', output_joints=('turn', 'grip'))
 VISCOUS, DRY, OFFSET = np.array([3.0, 1.0, 0.5, 0.1]), np.array([5.0, 2.0, 1.0, 0.2]), np.array([1.0, -0.5, 0.3, 0.1])
+ROTOR = np.array([2.0, 0.5, 0.2, 0.05])
 
 
-def rubbing(motion, turn_speed):
+def rubbing(motion, turn_speed, rotor=0.0):
     outputs = ARM.regressors(motion) @ ARM.base_parameters + OFFSET + VISCOUS * motion.velocity
-    return replace(motion, outputs=outputs + DRY * np.tanh(motion.velocity / turn_speed))
+    return replace(motion, outputs=outputs + DRY * np.tanh(motion.velocity / turn_speed) + rotor * motion.acceleration)
 
 
 @given(st.lists(st.floats(-10.0, 10.0), min_size=4, max_size=4))
 def test_a_sample_has_the_columns_of_a_batch_each_for_its_own_effort(velocity):
     for body in (ARM, TWO_OF_FOUR):
         sample = smooth_motion(4, 2)[0]._replace(velocity=np.array(velocity))
-        columns = CoupledColumns(body, joint_friction=True)
+        columns, n = CoupledColumns(body, joint_friction=True), body.n_outputs
         one, _ = columns.one(sample, 0)
-        block = one[:, columns.blocks['friction']]
-        np.testing.assert_allclose(block, friction_columns(body, sample.velocity[None])[0], rtol=1e-12, atol=1e-15)
-        n = body.n_outputs
+        friction, rotor = (columns.blocks[name] for name in ('friction', 'rotor'))
+        block = one[:, friction.start:rotor.stop]
+        batch = joint_columns(body, sample.velocity[None], sample.acceleration[None])[0]
+        np.testing.assert_allclose(block, batch, rtol=1e-12, atol=1e-15)
+        np.testing.assert_array_equal(one[:, rotor], np.diag(sample.acceleration[body.output_index]))
         own = sample.velocity[body.output_index]
         np.testing.assert_array_equal(block[:, :n], np.diag(own))
         for index, speed in enumerate(TURN_SPEEDS, start=1):
@@ -75,17 +78,17 @@ def test_a_wrench_and_the_bare_rigid_body_have_none():
     for body, chosen in ((icub(), True), (ARM, False)):
         columns, bare = CoupledColumns(body, joint_friction=chosen), CoupledColumns(body)
         assert columns.blocks == bare.blocks and columns.n_own == bare.n_own
-    assert CoupledColumns(ARM, joint_friction=True).n_own == ARM.n_parameters + (KINDS + 1) * 4
+    assert CoupledColumns(ARM, joint_friction=True).n_own == ARM.n_parameters + (KINDS + 2) * 4
 
 
 @pytest.mark.parametrize('turn_speed', [0.005, 0.012, 0.03])
-def test_friction_that_turns_over_between_the_two_speeds_is_learnt_and_carried_to_another_motion(turn_speed):
+def test_friction_between_the_two_speeds_and_rotors_are_learnt_and_carried_to_another_motion(turn_speed):
     errors = {}
     for joint_friction in (True, False):
         estimator = Estimator(ARM, ModelOptions(variant='P', initial_samples=200, joint_friction=joint_friction))
-        for sample in rubbing(smooth_motion(4, 1200, rate=50.0, seed=1), turn_speed):
+        for sample in rubbing(smooth_motion(4, 1200, rate=50.0, seed=1), turn_speed, ROTOR):
             estimator.step(sample)
-        other = rubbing(smooth_motion(4, 400, rate=50.0, seed=2), turn_speed)
+        other = rubbing(smooth_motion(4, 400, rate=50.0, seed=2), turn_speed, ROTOR)
         estimator.begin_recording(other.origin)
         left = np.array([sample.outputs - estimator.step(sample, learn=False).mean for sample in other])
         errors[joint_friction] = np.mean(left**2 / other.outputs.var(axis=0))
@@ -113,6 +116,8 @@ def test_the_prior_is_as_wide_as_the_robot_is_large():
     radius = np.array([size_beyond(ARM, 'lift').length, 1.0, 1.0, 1.0])  # no lift of decimetres is as fast as 3 m/s
     np.testing.assert_allclose(viscous * TOP_SPEED * radius, friction_scale(ARM), rtol=1e-14)
     np.testing.assert_array_equal(dry, [friction_scale(ARM)] * len(TURN_SPEEDS))
+    swing = 18.0 * radius  # [rad/s^2], of the lift [m/s^2]
+    np.testing.assert_allclose(scale[blocks['rotor']] * swing, friction_scale(ARM), rtol=1e-14)
     np.testing.assert_array_equal(scale[blocks['offset']], OFFSET_SHARE * friction_scale(ARM))
     np.testing.assert_array_equal(columns.expected[blocks['rigid_body']], ARM.base_parameters)
     assert not CoupledColumns(ARM, joint_friction=True).expected.any(), 'of the paper: about zero'

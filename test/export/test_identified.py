@@ -174,7 +174,9 @@ def test_a_mujoco_model_holds_the_same(arm):
     for name, values in arm[0].links.items():
         assert model.body(name).mass[0] == pytest.approx(values[0], rel=1e-5)
     for each in arm[0].joints:
-        attribute = {'damping': model.dof_damping, 'friction': model.dof_frictionloss}[each.name]
+        attribute = {
+            'damping': model.dof_damping, 'friction': model.dof_frictionloss, 'armature': model.dof_armature,
+        }[each.name]
         assert attribute[model.joint(each.joint).dofadr[0]] == pytest.approx(each.value, rel=1e-5)
 
 

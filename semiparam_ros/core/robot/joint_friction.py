@@ -1,10 +1,11 @@
-"""Friction and offset of the joints whose efforts are the outputs: what every identification of an arm holds.
+"""Friction, rotor and offset of the joints whose efforts are the outputs: what every identification of an arm holds.
 
-Of output k, with the velocity v of its joint,
+Of output k, with the velocity v and the acceleration a of its joint,
 
-    y_k = ... + b_k v + sum_s c_ks tanh(v / v_s) + o_k
+    y_k = ... + b_k v + sum_s c_ks tanh(v / v_s) + j_k a + o_k
 
-viscous friction b [N m s/rad], dry friction as the sum of the c [N m], an offset o [N m]. The speed within which dry
+viscous friction b [N m s/rad], dry friction as the sum of the c [N m], the inertia j [kg m^2] of a rotor seen through
+its gear, an offset o [N m]. The speed within which dry
 friction turns over differs between robots by a factor of ten. Two speeds v_s span it: the shares of the two columns,
 which are linear, say where between them it lies.
 
@@ -32,24 +33,26 @@ zeros of sensors err."""
 TOP_SPEED = 3.0
 """[rad/s] at which viscous friction is as large as that; arms move as fast at most, and are learnt far slower. A
 joint that slides is as fast where what it carries, stretched out, would be at its end."""
+REACHED_WITHIN = 0.25
+"""[rad] In which an arm reaches its top speed."""
 KINDS = 1 + len(TURN_SPEEDS)
 """Columns of friction of each output; those of one kind stand together."""
 NAMES = ('viscous', *(f'dry_{speed:g}' for speed in TURN_SPEEDS))
 UNITS = ('N m s/rad', *('N m' for _ in TURN_SPEEDS))
 
 
-def fill_friction(body: RigidBody, velocity: Array, columns: Array) -> None:
-    """Friction of one sample, with velocities (n_joints,), into its (n, KINDS n) part of the columns, zero elsewhere.
+def fill_joints(body: RigidBody, velocity: Array, acceleration: Array, columns: Array) -> None:
+    """Friction and rotors of one sample, with velocities and accelerations (n_joints,), into the columns.
 
-    The part is the one after the rigid body's columns.
+    Their (n, (KINDS + 1) n) part is the one after the rigid body's columns; it is zero elsewhere.
     """
-    _fill(velocity, body.output_index, TURN_SPEEDS, columns[:, body.n_parameters:])
+    _fill(velocity, acceleration, body.output_index, TURN_SPEEDS, columns[:, body.n_parameters:])
 
 
-def friction_columns(body: RigidBody, velocity: Array) -> Array:
-    """(N, n, KINDS n) columns of velocities (N, n_joints)."""
+def joint_columns(body: RigidBody, velocity: Array, acceleration: Array) -> Array:
+    """(N, n, (KINDS + 1) n) columns of friction and rotors, of velocities and accelerations (N, n_joints)."""
     own = velocity[:, body.output_index]
-    kinds = [own, *(np.tanh(own / speed) for speed in TURN_SPEEDS)]
+    kinds = [own, *(np.tanh(own / speed) for speed in TURN_SPEEDS), acceleration[:, body.output_index]]
     return np.concatenate([each[:, :, None] * np.eye(body.n_outputs) for each in kinds], axis=2)
 
 
@@ -66,6 +69,16 @@ def friction_prior(body: RigidBody) -> Array:
     scale = friction_scale(body)
     top_speeds = TOP_SPEED * radians(body)[body.output_index]
     return np.concatenate([scale / top_speeds, np.tile(scale, len(TURN_SPEEDS))])
+
+
+def rotor_prior(body: RigidBody) -> Array:
+    """(n,) [kg m^2, kg] prior standard deviations of the rotors' inertias: friction's, at the acceleration that reaches
+    top speed within a quarter of a radian.
+
+    It goes by the torque for which a joint is geared, not by what it carries: a rotor counts by the square of its gear,
+    and so for many times the links of a small arm.
+    """
+    return friction_scale(body) / (TOP_SPEED**2 / (2.0 * REACHED_WITHIN) * radians(body)[body.output_index])
 
 
 def offset_prior(body: RigidBody) -> Array:
@@ -91,11 +104,12 @@ def turning_variance(directions: Integers, theta: Vector, columns: Part) -> Vect
 
 
 @compiled
-def _fill(velocity: Strided, index: Integers, speeds: Vector, columns: Part) -> None:
-    """See :func:`fill_friction`."""
+def _fill(velocity: Strided, acceleration: Strided, index: Integers, speeds: Vector, columns: Part) -> None:
+    """See :func:`fill_joints`."""
     n = len(index)
     for k in range(n):
         v = velocity[index[k]]
         columns[k, k] = v
         for s in range(len(speeds)):
             columns[k, (1 + s) * n + k] = np.tanh(v / speeds[s])
+        columns[k, (1 + len(speeds)) * n + k] = acceleration[index[k]]
