@@ -107,7 +107,8 @@ def test_blocks_stand_in_their_order(body):
     columns = CoupledColumns(body, [Drift(), Nothing(), Travel()])
     p = body.n_parameters
     assert columns.blocks == {'rigid_body': slice(0, p), 'friction': slice(p, p), 'rotor': slice(p, p),
-                              'offset': slice(p, p + 6), '0': slice(p + 6, p + 12), '1': slice(p + 12, p + 12), '2': slice(p + 12, p + 18)}
+                              'offset': slice(p, p + 6),
+                              '0': slice(p + 6, p + 12), '1': slice(p + 12, p + 12), '2': slice(p + 12, p + 18)}
     assert columns.n_columns == p + 18
     stacked, _ = columns.batch(MOTION)
     np.testing.assert_array_equal(stacked[:, :, columns.blocks['rigid_body']], body.regressors(MOTION))
