@@ -195,7 +195,7 @@ def _first_fit(body: RigidBody, samples: Samples, effects: Sequence[Effect], sin
 
     :param clean: (N,) the samples that may be used.
     """
-    effects = [*(effect.in_recording(samples.origin) for effect in effects), *_friction(body)]
+    effects = [*(effect.in_recording(samples.origin) for effect in effects), *_of_joints(body)]
     everything = np.ones(len(samples), dtype=bool)
     inputs, chosen, used, counted = prepared(body, samples, effects, everything, config, inputs,
                                              clean)
@@ -204,7 +204,7 @@ def _first_fit(body: RigidBody, samples: Samples, effects: Sequence[Effect], sin
     return starting_fit(body, chosen, effects, used, config, counted), inputs, changed
 
 
-def _friction(body: RigidBody) -> list[Effect]:
+def _of_joints(body: RigidBody) -> list[Effect]:
     """Columns that the model of an arm with joint efforts has of each joint
     (``core.robot.joint_friction``)."""
     found: list[Effect] = []
