@@ -28,6 +28,7 @@ from semiparam_ros.diagnosis.data.recordings import (
 from semiparam_ros.diagnosis.data.splits import interleaved_split, ranges
 from semiparam_ros.diagnosis.evaluation import Evaluation, evaluate_here, evaluate_there
 from semiparam_ros.diagnosis.findings import Finding, declared_findings, findings, places_in
+from semiparam_ros.diagnosis.friction_change import friction_changes
 from semiparam_ros.diagnosis.preparation import (
     Inputs,
     bursts,
@@ -271,6 +272,7 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
     everything, told = _estimated(final, steps, samples, start, other is None)
     found = findings(final, steps, everything, told)
     touches, notes = [] if setup else contacts(everything), _notes(samples, start, found, names)
+    notes += [] if setup else friction_changes(final, names)
     for fit in (start.first, final, everything):
         fit.forget()
     return Diagnosis(
