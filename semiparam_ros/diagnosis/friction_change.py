@@ -67,6 +67,7 @@ def friction_changes(fit: Fit, names: Sequence[str]) -> list[str]:
     plain = [effect for joint in joints for effect in (ViscousFriction(joint), CoulombFriction(joint, turning))]
     lacking = [effect for effect in plain if (effect.kind, effect.where) not in known]
     fit = refit_weights(with_effects(fit, [*fit.effects, *lacking]))
+    joints = [joint for joint in joints if _rubbing(fit, joint)]  # what is declared with a start rubs in its own way
     while joints:
         best = max((_change(fit, joint) for joint in joints), key=lambda change: change.net)
         if not best.sure:
@@ -77,10 +78,14 @@ def friction_changes(fit: Fit, names: Sequence[str]) -> list[str]:
     return sentences
 
 
+def _rubbing(fit: Fit, joint: str) -> list[int]:
+    """Numbers of the effects that rub at a joint, and always did."""
+    return [number for number, effect in enumerate(fit.effects) if effect.where == joint and effect.span == ALWAYS
+            and effect.resists and effect.shows_against == 'velocity']
+
+
 def _change(fit: Fit, joint: str) -> FrictionChange:
-    config = fit.config
-    numbers = [number for number, effect in enumerate(fit.effects) if effect.where == joint and effect.span == ALWAYS
-               and effect.resists and effect.shows_against == 'velocity']
+    config, numbers = fit.config, _rubbing(fit, joint)
     effects = [fit.effects[number] for number in numbers]
     columns = np.concatenate([fit.assembly.of_effect(number, *fit.corrected) for number in numbers], axis=2)
     inside = np.quantile(fit.samples.time[fit.train_mask], [config.start_margin, 1.0 - config.start_margin])

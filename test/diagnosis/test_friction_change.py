@@ -10,18 +10,20 @@ from semiparam_ros.diagnosis.diagnose import diagnose
 from semiparam_ros.diagnosis.friction_change import friction_changes
 from semiparam_ros.diagnosis.search.refit import declare
 from semiparam_ros.diagnosis.search.stepwise import starting_fit
-from semiparam_ros.effects.friction import CoulombFriction
+from semiparam_ros.effects.base import Span
+from semiparam_ros.effects.friction import CoulombFriction, ViscousFriction
 from support.arms import ODD_BODY, ODD_JOINTS, icub, noisy, smooth_motion
 
 COUNT, TURN = 1500, 0.02
 EVERYTHING = np.ones(COUNT, dtype=bool)
 
 
-def rubbing(times=1.0, joint=1, seed=0):
+def rubbing(times=1.0, joint=1, seed=0, before=1.0):
     """Dry friction of 3 and viscous of 1 at all joints, at one so many times as large from .6 of the time on."""
     motion = smooth_motion(4, COUNT, seed=seed, speed=0.5)
     friction = 3.0 * np.tanh(motion.velocity / TURN) + motion.velocity
     friction[int(0.6 * COUNT):, joint] *= times
+    friction[:int(0.6 * COUNT), joint] *= before
     exact = ODD_BODY.regressors(motion) @ ODD_BODY.base_parameters + friction
     return replace(motion, outputs=noisy(exact, 0.01, seed=seed), whole=True)
 
@@ -48,6 +50,16 @@ def test_a_joint_whose_friction_changes_is_told_with_the_time_and_both_values(ti
 @pytest.mark.parametrize('seed', range(5))
 def test_friction_that_stays_is_no_change(seed):
     assert found(rubbing(seed=seed)) == []
+
+
+def test_friction_that_is_declared_from_a_time_on_is_left_alone():
+    samples = rubbing(before=0.0)
+    late = Span(start_s=float(samples.time[int(0.6 * COUNT)]))
+    declared = [kind('turn', values, span=late) for kind, values in
+                ((ViscousFriction, {}), (CoulombFriction, {'turn_speed': TURN}))]
+    known = [CoulombFriction(joint, {'turn_speed': TURN}) for joint in ODD_JOINTS if joint != 'turn']
+    fit = declare(starting_fit(ODD_BODY, samples, declared, EVERYTHING), known)
+    assert friction_changes(fit, ['']) == []
 
 
 def test_of_a_wrench_no_joint_rubs():
