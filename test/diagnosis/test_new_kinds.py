@@ -172,7 +172,7 @@ def test_filtered_velocities_are_put_right():
     filtered = replace(samples, velocity=late, acceleration=change, outputs=5.0 * samples.velocity)
     for effects in ([], [effect]):
         friction = [kinds()['viscous_friction'](joint) for joint in body.joints]
-        bare = ModelOptions('P', initial_samples=200, joint_friction=False)  # rotors make up for a late viscous friction
+        bare = ModelOptions('P', initial_samples=200, joint_friction=False)  # rotors make up for late ones
         model = Estimator(body, bare, [*effects, *friction])
         left = np.array([sample.outputs - model.step(sample).mean for sample in filtered])[200:]
         error.append(float(np.mean(left**2)))
