@@ -7,6 +7,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from semiparam_ros.core.columns import CoupledColumns
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.diagnosis import change
 from semiparam_ros.diagnosis.change import name_change
@@ -18,7 +19,7 @@ from semiparam_ros.effects import effect_from_text, kinds
 from semiparam_ros.experiments.scoreboard import body_of, samples_of
 from semiparam_ros.simulation.scenario import EffectRequest, Scenario
 from semiparam_ros.simulation.simulate import simulate, true_arm
-from support.arms import TWO_ARMS, TWO_ARMS_JOINTS, noisy, smooth_motion
+from support.arms import ODD_BODY, TWO_ARMS, TWO_ARMS_JOINTS, noisy, smooth_motion
 
 JOINTS = ('r_shoulder_pitch', 'r_shoulder_roll', 'r_shoulder_yaw', 'r_elbow')
 PICKED_UP_S = 42.0
@@ -164,3 +165,13 @@ def test_what_is_likelier_beforehand_is_named_unless_surpassed_beyond_chance(
         for effect, price in ((cable, 13.0), (load, 1.0))
     ]
     assert change._likeliest(moves).added[0].kind == likeliest
+
+
+def test_what_a_change_is_named_beside_has_the_columns_that_every_model_of_efforts_has_of_its_joints():
+    samples = smooth_motion(4, 50)
+    columns = CoupledColumns(ODD_BODY, joint_friction=True)
+    own = columns.batch(samples)[0][:, :, ODD_BODY.n_parameters:]
+    beside = np.concatenate([effect.columns(ODD_BODY, samples, None)[0] for effect in change._of_joints(ODD_BODY)], 2)
+    assert own.shape == beside.shape
+    for column in np.moveaxis(own, 2, 0):
+        assert np.isclose(beside, column[:, :, None], atol=1e-9).all(axis=(0, 1)).sum() == 1

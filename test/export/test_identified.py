@@ -187,18 +187,20 @@ def test_a_description_of_a_tenth_of_the_masses_is_no_reason_to_disbelieve_the_s
     assert error_on_unseen_motion(urdf) < 0.02
 
 
-def test_an_armature_goes_to_mujoco_and_is_not_negative():
+@pytest.mark.parametrize('declared', [True, False])
+def test_an_armature_goes_to_mujoco_and_is_not_negative(declared):
     from semiparam_ros.export.mjcf import identified_mjcf
 
     def geared(spec):
         joint = next(joint for joint in spec.joints if joint.name == 'r_elbow')
         joint.armature = 0.05
 
-    effects = [f'rotor_inertia@{joint}' for joint in ICUB_JOINTS]
+    effects = [f'rotor_inertia@{joint}' for joint in ICUB_JOINTS] if declared else []
     found, urdf = exported(EFFORTS, recording(EFFORTS, seed=2, prepare=geared), effects)
     armature = {each.joint: each.value for each in found.joints if each.name == 'armature'}
     assert armature['r_elbow'] == pytest.approx(0.05, abs=0.005)
     assert min(armature.values()) >= 0.0
+    assert 'A robot description holds no armature; MuJoCo models and the JSON file do.' in lines(found)
     model = mujoco.MjModel.from_xml_string(identified_mjcf(urdf, found, ''))
     assert model.dof_armature[model.joint('r_elbow').dofadr[0]] == pytest.approx(armature['r_elbow'], rel=1e-5)
 
