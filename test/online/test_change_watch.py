@@ -15,7 +15,7 @@ from semiparam_ros.effects.sensor import SensorOffset
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.experiments.evaluation import OfflineLearner
 from semiparam_ros.online import change_watch
-from semiparam_ros.online.change_causes import causes_of, load_directions
+from semiparam_ros.online.change_causes import causes_of, friction_directions, load_directions
 from semiparam_ros.online.change_watch import (
     APPLIED,
     ASSUMED,
@@ -165,6 +165,18 @@ def test_what_the_gate_gave_way_to_is_followed_once_and_its_end_is_none_of_an_ea
     watch.records[7] = ChangeRecord(change._replace(ended=since - 10**9))
     stage.offer(samples[(samples.time >= 52.02) & (samples.time < 60.0)])
     assert returns(stage) == 1 and list(watch.records) == [7]
+
+
+def test_every_column_of_the_model_is_learnt_and_after_friction_only_that_and_offsets_are_in_doubt():
+    columns = CoupledColumns(ODD_BODY, joint_friction=True)
+    causes, directions = causes_of(columns)
+    own = directions[:columns.n_own, causes[0].part.stop:]
+    assert (np.count_nonzero(own, axis=1) == 1).all()
+    rotor = columns.blocks['rotor']
+    assert not any(directions[rotor, cause.part].any() for cause in causes), 'no rotor changes'
+    in_doubt = friction_directions(columns).any(axis=1)
+    blocks = columns.blocks['friction'], columns.blocks['offset']
+    assert in_doubt.nonzero()[0].tolist() == [place for block in blocks for place in range(block.start, block.stop)]
 
 
 @pytest.mark.parametrize('kind', ['sensor_offset', 'effort_offset', 'friction', 'payload', 'zero_slip', ''])
