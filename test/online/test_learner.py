@@ -25,7 +25,13 @@ from semiparam_ros.errors import SemiparamError
 from semiparam_ros.experiments.evaluation import OfflineLearner
 from semiparam_ros.online import diagnosis_jobs, learner, model_jobs, state_file, transport, worker
 from semiparam_ros.online.history import History, arrays_of, batch_from, batch_of
-from semiparam_ros.online.identified_parameters import Excitation, carried_load, conditioning, reported_load
+from semiparam_ros.online.identified_parameters import (
+    Excitation,
+    carried_load,
+    conditioning,
+    quantities,
+    reported_load,
+)
 from semiparam_ros.online.learning import Learning, begins_anew, see_again
 from semiparam_ros.online.model_jobs import new_estimator
 from semiparam_ros.online.model_switcher import same_model
@@ -830,6 +836,19 @@ def test_what_the_hand_carries_is_found():
     np.testing.assert_allclose(carried.centre, [0.02, 0.0, 0.1], atol=0.01)
     assert abs(carried.mass - 0.4) < 4 * carried.std.mass < 0.1
     assert (abs(carried.centre - [0.02, 0.0, 0.1]) < 4 * carried.std.centre).all()
+
+
+def test_friction_rotors_and_offsets_have_the_names_of_their_joints():
+    settings = Settings(joints=ICUB_JOINTS, outputs='effort', variant='P', initial_samples=100,
+                        robot_description=ICUB_OWN.read_text())
+    body, estimator = build_rigid_body(settings), build_estimator(settings)
+    exact = smooth_motion(4, 150)
+    for sample in replace(exact, outputs=body.regressors(exact) @ body.base_parameters + 0.2 * exact.velocity):
+        estimator.step(sample)
+    named, blocks = [(each.name, each.unit) for each in quantities(estimator)], estimator.columns.blocks
+    assert named[blocks['friction']][:4] == [(f'viscous@{joint}', 'N m s/rad') for joint in ICUB_JOINTS]
+    assert named[blocks['rotor']] == [(f'rotor@{joint}', 'kg m^2') for joint in ICUB_JOINTS]
+    assert named[blocks['offset']] == [(f'offset_{joint}', 'N m') for joint in ICUB_JOINTS]
 
 
 @pytest.mark.parametrize('seed', range(3))
