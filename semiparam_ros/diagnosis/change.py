@@ -37,7 +37,7 @@ from semiparam_ros.diagnosis.uncertainty import estimates
 from semiparam_ros.effects import Effect, kinds
 from semiparam_ros.effects.base import Span
 from semiparam_ros.effects.drive import EffortOffset, RotorInertia
-from semiparam_ros.effects.friction import CoulombFriction, ViscousFriction
+from semiparam_ros.effects.friction import CoulombFriction, ViscousFriction, plain_friction
 
 
 class ChangeRival(NamedTuple):
@@ -222,7 +222,7 @@ def _candidates(fit: Fit) -> list[Effect]:
         for kind in kinds(body.outputs).values()
         if kind.may_start or kind.must_start or kind.may_come for where in _places(kind, body)]
     for joint in body.output_names if body.outputs == 'effort' else ():
-        found += [ViscousFriction(joint), CoulombFriction(joint, {'turn_speed': float(TURN_SPEEDS[-1])})]
+        found += plain_friction(joint)
     return found
 
 

@@ -14,7 +14,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from semiparam_ros.core.robot.joint_friction import TURN_SPEEDS
 from semiparam_ros.core.types import Array
 from semiparam_ros.diagnosis.data.recordings import own_time
 from semiparam_ros.diagnosis.regression import Fit, refit_weights, with_effects
@@ -23,7 +22,7 @@ from semiparam_ros.diagnosis.search.score import gain
 from semiparam_ros.diagnosis.search.spans import best_edge
 from semiparam_ros.effects import Effect
 from semiparam_ros.effects.base import ALWAYS, Span
-from semiparam_ros.effects.friction import CoulombFriction, ViscousFriction
+from semiparam_ros.effects.friction import plain_friction
 
 
 class FrictionChange(NamedTuple):
@@ -50,9 +49,9 @@ class FrictionChange(NamedTuple):
         time_s, of = own_time(fit.samples, names, float(self.span.start_s or 0.0))
         channel = fit.body.output_names.index(self.joint)
         usual, less = (each.scale[channel] for each in (fit, self.after))
-        return (f'The friction of {self.joint} changes at {time_s:.1f} s{of}: {", ".join(values)}. Above stands one '
-                f'value for all of the recording; with both, errors of {usual:.2g} {fit.body.output_units[channel]} '
-                f'fall to {less:.2g}.')
+        unit = fit.body.output_units[channel]
+        return (f'The friction of {self.joint} changes at {time_s:.1f} s{of}: {", ".join(values)}. The findings have '
+                f'one value for all of the recording; with both, errors of {usual:.2g} {unit} fall to {less:.2g}.')
 
 
 def friction_changes(fit: Fit, names: Sequence[str]) -> list[str]:
@@ -62,12 +61,12 @@ def friction_changes(fit: Fit, names: Sequence[str]) -> list[str]:
     """
     if fit.body.outputs != 'effort':
         return []
-    known, turning = held(fit.effects), {'turn_speed': float(TURN_SPEEDS[-1])}
-    joints, sentences = list(fit.body.output_names), list[str]()
-    plain = [effect for joint in joints for effect in (ViscousFriction(joint), CoulombFriction(joint, turning))]
-    lacking = [effect for effect in plain if (effect.kind, effect.where) not in known]
+    known, sentences = held(fit.effects), list[str]()
+    lacking = [effect for joint in fit.body.output_names for effect in plain_friction(joint)
+               if (effect.kind, joint) not in known]
     fit = refit_weights(with_effects(fit, [*fit.effects, *lacking]))
-    joints = [joint for joint in joints if _rubbing(fit, joint)]  # what is declared with a start rubs in its own way
+    # what is declared with a start rubs in its own way
+    joints = [joint for joint in fit.body.output_names if _rubbing(fit, joint)]
     while joints:
         best = max((_change(fit, joint) for joint in joints), key=lambda change: change.net)
         if not best.sure:

@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from semiparam_ros.core.columns import ColumnBlock, JointColumns, Memory
+from semiparam_ros.core.robot.joint_friction import TURN_SPEEDS
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.robot.size import plausible, size_beyond
 from semiparam_ros.core.samples import Samples, at_middle
@@ -231,6 +232,11 @@ class CoulombFriction(_Sliding):
 
     def sliding(self, direction: Array, velocity: Array) -> Array:
         return direction[:, None]
+
+
+def plain_friction(joint: str) -> list[JointEffect]:
+    """Viscous and dry friction of a joint, which turns over within the larger speed of every model's columns."""
+    return [ViscousFriction(joint), CoulombFriction(joint, {'turn_speed': float(TURN_SPEEDS[-1])})]
 
 
 class StribeckFriction(_Sliding):

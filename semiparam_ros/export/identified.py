@@ -343,7 +343,7 @@ def _dynamics(columns: CoupledColumns) -> list[tuple[str, str, Array]]:
 
     if columns.has_friction:
         start = columns.blocks['friction'].start
-        for kind, name in enumerate((*NAMES, 'rotor')):  # rotors stand after friction
+        for kind, name in enumerate(NAMES):
             for number, joint in enumerate(body.output_names):
                 add(joint, OWN_DYNAMICS.get(name, 'friction'), start + kind * body.n_outputs + number, 1.0)
     for index, effect in enumerate(columns.effects):

@@ -259,7 +259,6 @@ def _labels(columns: CoupledColumns) -> list[tuple[str, str]]:
     if columns.has_friction:
         labels += [(f'{name}@{joint}', body.joint_unit(joint, unit)) for name, unit in zip(NAMES, UNITS, strict=True)
                    for joint in body.output_names]
-        labels += [(f'rotor@{joint}', body.joint_unit(joint, 'kg m^2')) for joint in body.output_names]
     if columns.has_offset:
         labels += [(f'offset_{axis}', unit) for axis, unit in zip(body.output_names, body.output_units, strict=True)]
     for effect in columns.effects:

@@ -5,9 +5,8 @@ Of output k, with the velocity v and the acceleration a of its joint,
     y_k = ... + b_k v + sum_s c_ks tanh(v / v_s) + j_k a + o_k
 
 viscous friction b [N m s/rad], dry friction as the sum of the c [N m], the inertia j [kg m^2] of a rotor seen through
-its gear, an offset o [N m]. The speed within which dry
-friction turns over differs between robots by a factor of ten. Two speeds v_s span it: the shares of the two columns,
-which are linear, say where between them it lies.
+its gear, an offset o [N m]. The speed within which dry friction turns over differs between robots by a factor of ten.
+Two speeds v_s span it: the shares of the two columns, which are linear, say where between them it lies.
 
 A joint slides one way or the other: its dry friction is +c or -c, with c = sum_s c_s, and its mean f is what the
 columns say. While the joint turns back, how it sticks, bends and lags decides, which no column tells. So c^2 - f^2 is
@@ -37,8 +36,9 @@ REACHED_WITHIN = 0.25
 """[rad] In which an arm reaches its top speed."""
 KINDS = 1 + len(TURN_SPEEDS)
 """Columns of friction of each output; those of one kind stand together."""
-NAMES = ('viscous', *(f'dry_{speed:g}' for speed in TURN_SPEEDS))
-UNITS = ('N m s/rad', *('N m' for _ in TURN_SPEEDS))
+NAMES = ('viscous', *(f'dry_{speed:g}' for speed in TURN_SPEEDS), 'rotor')
+UNITS = ('N m s/rad', *('N m' for _ in TURN_SPEEDS), 'kg m^2')
+"""Those of friction, and of the rotor, which stands after it."""
 
 
 def fill_joints(body: RigidBody, velocity: Array, acceleration: Array, columns: Array) -> None:
