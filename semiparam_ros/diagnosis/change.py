@@ -252,7 +252,7 @@ def _tried(fit: Fit, effect: Effect, since_s: tuple[float, float],
         if effect.is_load and not plausible(after, len(fit.effects)):
             continue
         times = acting.span.values.values()
-        trial = Move((acting,), after, gain(fit, after, times), _price(acting, fit))
+        trial = Move.of((acting,), fit, after, _price(acting, fit), times)
         best = trial if best is None or trial.net > best.net else best
     return best
 
@@ -273,8 +273,7 @@ def _over(fit: Fit, effect: Effect, since_s: tuple[float, float]) -> Move | None
     block = after.assembly.blocks[str(after.effects.index(over))]
     if effect.is_body and not over.physical(after.theta[block]):
         return None
-    gained = gain(fit, after, [float(over.end_s or since_s[1])])
-    return Move((over,), after, gained, math.log(fit.config.start_grid))
+    return Move.of((over,), fit, after, math.log(fit.config.start_grid), [float(over.end_s or since_s[1])])
 
 
 def _price(effect: Effect, fit: Fit) -> float:

@@ -260,7 +260,7 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
         clock = [problem.sentence for problem in suspected if problem.what == 'clock']  # leaves no time to look at
         raise SemiparamError(clock[0] if clock else str(error)) from error
     samples, config = start.recorded.samples, start.first.config
-    steps, setup, imitated = _searched(start, considered(body, only), suspected, progress, bool(only))
+    steps, setup, imitated = _searched(start, samples, considered(body, only), suspected, progress, bool(only))
     *models, final = [start.first, *(step.after for step in steps)]
     faster = fast_enough(final, samples, start.inputs)
     if faster != config:  # what was found had hidden it
@@ -382,21 +382,27 @@ def _estimated(final: Fit, steps: list[Step], samples: Samples, start: _Start,
     return everything, estimates(everything, new, start.inputs.disturbed(samples) if everything.effects else ())
 
 
-def _searched(start: _Start, considered: dict[str, type[Effect]], suspected: list[SetupProblem], progress: Progress,
-              some_kinds: bool) -> tuple[list[Step], list[SetupProblem], bool]:
+def _searched(start: _Start, samples: Samples, considered: dict[str, type[Effect]], suspected: list[SetupProblem],
+              progress: Progress, some_kinds: bool) -> tuple[list[Step], list[SetupProblem], bool]:
     """The steps of the search, what stays suspected of the setup, and whether effects only imitate something else, and
     were taken back but those that hold beside it; of ``some_kinds`` alone nobody asks that.
 
     A recording that no inertias explain need not be of another robot: somebody may have pushed this one. That shows
-    in the first effect, which then explains nearly everything.
+    in the first effect, which then explains nearly everything. A search ends, too, once what was found shows that the
+    working rate of the ``samples`` is too low.
     """
+    def too_slow(fit: Fit) -> bool:
+        return fast_enough(without_error_columns(fit), samples, start.inputs) != fit.config
+
     if any(problem.what != NO_MATCH for problem in suspected):
         return [], suspected, False
     first = start.first if start.inputs.measured_accelerations else with_error_columns(start.first)
-    steps = search(first, considered, progress, _unlike if suspected else lambda fit: False)
+    steps = search(first, considered, progress, lambda fit: (bool(suspected) and _unlike(fit)) or too_slow(fit))
     if suspected and (not steps or _unlike(steps[-1].after)):
         return [], suspected, False
     steps = _on_the_motion(steps)
+    if steps and too_slow(steps[-1].after):
+        return steps, [], False
     imitated = bool(steps) and not some_kinds and function_explains_more(start.first, steps[-1].after)
     return (holding(steps, considered) if imitated else steps), [], imitated
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,12 +18,12 @@ from semiparam_ros.core.types import Array, Indices, Mask
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
 from semiparam_ros.diagnosis.data.outliers import sliding
 from semiparam_ros.diagnosis.data.splits import correlation_times
+from semiparam_ros.diagnosis.design import Design, Part, PartInUse, SamplesInUse, flat
 from semiparam_ros.effects import Effect
 
-LARGE = ('corrected', 'blocks', 'in_use', 'rows', 'asked', 'sliding')
+LARGE = ('corrected', 'samples_in_use', 'design', 'residual_in_use', 'asked', 'sums', 'sliding')
 """What a fit computes when it is asked for: far more than the rest of it, where samples are many."""
-OF_COLUMNS = ('assembly', 'prior_deviation', 'corrected', 'blocks', 'in_use', 'support', 'rows',
-              'grams', 'at_prior')
+OF_COLUMNS = ('assembly', 'prior_deviation', 'corrected', 'samples_in_use', 'design', 'at_prior', 'prior_moments')
 """What neither its weights nor its outputs change."""
 ROUNDED = 1e-9
 """Share of the squares from which on a difference of their sums keeps enough digits."""
@@ -61,14 +61,14 @@ class Explained:
     @cached_property
     def residual(self) -> Array:
         """(N, n) left afterwards, in the outputs' units."""
-        return self.fit.residual - predicted(self.columns, self.coefficients) - self.fit.predicted(self.refit)
+        return self.fit.residual - predicted(self.columns, self.coefficients) - self.fit.design.predicted(self.refit)
 
     @cached_property
     def squares(self) -> Array:
         """(n,) sum of squares that is left of the samples in use."""
         fit, left = self.fit, self.fit.squares.copy()
-        refit = [self.refit[support] for support in fit.support]
-        for channel, (gram, moment) in enumerate(zip(fit.grams, fit.moments, strict=True)):
+        refit = [self.refit[support] for support in fit.design.support]
+        for channel, (gram, moment) in enumerate(zip(fit.design.grams, fit.moments, strict=True)):
             left[channel] += refit[channel] @ (gram @ refit[channel] - 2.0 * moment)
         for channel, acting, inner, right, shared in self.products:
             own = self.coefficients[acting]
@@ -113,69 +113,60 @@ class Fit:
         return body, inputs
 
     @cached_property
-    def blocks(self) -> list[Array]:
-        """C (N, n, p) in parts: those of the rigid body, the offset and the effects, then the nuisance columns."""
+    def samples_in_use(self) -> SamplesInUse:
+        """Samples that fit and count."""
+        return SamplesInUse(self.train_mask, self.counted, self.config.blocks)
+
+    @cached_property
+    def design(self) -> Design:
+        """C in parts: those of the rigid body, the offset and the effects, then the nuisance columns."""
+        return self._designed(())
+
+    def _designed(self, known: Sequence[tuple[Effect | str, PartInUse]]) -> Design:
+        """The design with parts of another one that are ``known`` to be the same, by their effect or their name."""
+        parts, samples = [], self.samples_in_use
+        for name, columns in self._columns():
+            found = next((part for each, part in known if each == name), None)
+            if found is None or found.samples is not samples:
+                found = PartInUse(Part(columns()) if found is None else found.part, samples)
+            parts.append(found)
+        return Design(parts, samples)
+
+    def _columns(self) -> Iterator[tuple[Effect | str, Callable[[], Array]]]:
+        """The effect or the name of each part of C, and what computes its columns (N, n, c)."""
         assembly, (body, inputs) = self.assembly, self.corrected
-        parts = [assembly.rigid(body, inputs), assembly.offset(len(inputs)),
-                 *(assembly.of_effect(index, body, inputs) for index in range(len(self.effects)))]
-        return parts if self.nuisance is None else [*parts, self.nuisance]
+        yield 'rigid_body', partial(assembly.rigid, body, inputs)
+        yield 'offset', partial(assembly.offset, len(inputs))
+        for index, effect in enumerate(self.effects):
+            yield effect, partial(assembly.of_effect, index, body, inputs)
+        if (nuisance := self.nuisance) is not None:
+            yield 'nuisance', lambda: nuisance
 
     @property
     def n_columns(self) -> int:
         """p."""
-        return sum(block.shape[2] for block in self.blocks)
-
-    @cached_property
-    def in_use(self) -> list[Indices]:
-        """(M_k,) of each channel k the numbers of the samples in use whose output counts."""
-        return [np.flatnonzero(self.train_mask & counted) for counted in self.counted.T]
-
-    @cached_property
-    def support(self) -> list[Indices]:
-        """(p_k,) of each channel k the numbers of the columns that are not zero there: a joint feels
-        few bodies of a robot with limbs, and nothing of what rubs in other joints."""
-        acts = np.hstack([block.any(axis=0) for block in self.blocks])
-        return [np.flatnonzero(channel) for channel in acts]
-
-    @cached_property
-    def rows(self) -> list[Array]:
-        """(M_k, p_k) of each channel k the columns in use that it feels, not divided by its scale."""
-        columns = [(block, column) for block in self.blocks for column in range(block.shape[2])]
-        found = []
-        for channel, (used, support) in enumerate(zip(self.in_use, self.support, strict=True)):
-            rows = np.empty((len(support), len(used)))
-            for row, number in zip(rows, support.tolist(), strict=True):
-                block, column = columns[number]
-                np.take(block[:, channel, column], used, out=row, mode='clip')  # no buffer
-            found.append(rows.T)
-        return found
-
-    @cached_property
-    def grams(self) -> list[Array]:
-        """(p_k, p_k) of each channel k the products of these columns."""
-        return [rows.T @ rows for rows in self.rows]
+        return self.design.n_columns
 
     @cached_property
     def asked(self) -> dict[object, Any]:
-        """Derivatives of the prediction and sums of blocks that were asked for, by what of."""
+        """Derivatives of the prediction that were asked for, by what of."""
         return {}
 
-    def predicted(self, theta: Array) -> Array:
-        """(N, n) C theta."""
-        parts = np.split(theta, np.cumsum([block.shape[2] for block in self.blocks])[:-1])
-        return sum((predicted(block, part) for block, part in zip(self.blocks, parts, strict=True)),
-                   np.zeros(self.samples.outputs.shape))
+    @cached_property
+    def sums(self) -> dict[object, Any]:
+        """Sums of blocks that were asked for, by what of."""
+        return {}
 
     @cached_property
     def at_prior(self) -> Array:
         """(N, n) outputs less those of the prior mean, in the outputs' units."""
-        return self.samples.outputs - self.predicted(self.prior_mean())
+        return self.samples.outputs - self.design.predicted(self.prior_mean())
 
     @cached_property
     def factor(self) -> tuple[Array, bool]:
         """Cholesky factor of the regularised normal matrix."""
         normal = np.diag(self.prior_deviation ** -2.0)
-        for gram, support, scale in zip(self.grams, self.support, self.scale, strict=True):
+        for gram, support, scale in zip(self.design.grams, self.design.support, self.scale, strict=True):
             normal[np.ix_(support, support)] += gram / scale**2
         try:
             return cho_factor(normal)  # type: ignore[no-any-return]
@@ -249,20 +240,28 @@ class Fit:
         return Explained(self, columns, products, coefficients, rank, -cross @ coefficients, loss)
 
     @cached_property
+    def residual_in_use(self) -> list[Array]:
+        """(B L,) of each channel, see :meth:`SamplesInUse.of`."""
+        return [flat(self.samples_in_use.of(channel, left[None]))[0] for channel, left in enumerate(self.residual.T)]
+
+    @cached_property
     def moments(self) -> list[Array]:
         """(p_k,) of each channel k the products of what it feels with the residual, of the samples in use."""
-        return [rows.T @ left[used] for rows, used, left in zip(self.rows, self.in_use, self.residual.T, strict=True)]
+        return [moment.sum(axis=0) for moment in self.design.moments(self.residual)]
+
+    @cached_property
+    def prior_moments(self) -> list[Array]:
+        """The same with what the prior mean leaves."""
+        return [moment.sum(axis=0) for moment in self.design.moments(self.at_prior)]
 
     def _products(self, columns: Array) -> list[Products]:
         """Products of further columns (N, n, c), of each channel in which they act."""
-        products = []
-        for channel, (rows, acts) in enumerate(zip(self.rows, np.asarray(columns.any(axis=0)), strict=True)):
-            acting, in_use = np.flatnonzero(acts), self.in_use[channel]
-            if len(acting):
-                used = columns[in_use, channel][:, acting]
-                products.append(Products(channel, acting, used.T @ used, used.T @ self.residual[in_use, channel],
-                                         rows.T @ used))
-        return products
+        samples, further, found = self.samples_in_use, Part(columns), []
+        for channel, values in further.values.items():
+            rows, acting = flat(samples.of(channel, values)), further.acting[channel]
+            inner, right = rows @ rows.T, rows @ self.residual_in_use[channel]
+            found.append(Products(channel, acting, inner, right, self.design.cross(channel, rows)))
+        return found
 
     def _regressed(
             self, products: list[Products], count: int, prior: tuple[Array, Array] | None = None,
@@ -274,7 +273,7 @@ class Fit:
             weight = self.scale[each.channel] ** -2.0
             inner[np.ix_(each.acting, each.acting)] += weight * each.inner
             right[each.acting] += weight * each.right
-            shared[np.ix_(self.support[each.channel], each.acting)] += weight * each.shared
+            shared[np.ix_(self.design.support[each.channel], each.acting)] += weight * each.shared
         if prior is not None:
             inner, right = inner + np.diag(prior[1]), right + prior[1] * prior[0]
         cross = cho_solve(self.factor, shared)
@@ -329,16 +328,20 @@ def with_effects(fit: Fit, effects: Sequence[Effect]) -> Fit:
 def refitted(fit: Fit, effects: Sequence[Effect], nuisance: Array | None, counted: Mask) -> Fit:
     """The same samples and weights with other effects, nuisance columns or outputs that count."""
     other = replace(fit, effects=tuple(effects), nuisance=nuisance, counted=counted)
-    if _correcting(effects) == _correcting(fit.effects):
-        other.__dict__['corrected'] = fit.corrected
     if counted is fit.counted:
-        other.__dict__['in_use'] = fit.in_use
+        other.__dict__['samples_in_use'] = fit.samples_in_use
+    if _moving(effects) == _moving(fit.effects):
+        other.__dict__['corrected'] = fit.corrected
+        names = [name for name, _ in fit._columns()]
+        other.__dict__['design'] = other._designed([
+            known for known in zip(names, fit.design.parts, strict=True)
+            if known[0] != 'nuisance' or nuisance is fit.nuisance])
     return reweighted(other, fit.scale)
 
 
-def _correcting(effects: Sequence[Effect]) -> list[Effect]:
-    """Effects that correct the body or the inputs."""
-    return [effect for effect in effects if type(effect).correct is not Effect.correct]
+def _moving(effects: Sequence[Effect]) -> list[Effect]:
+    """Effects that correct the body or the inputs, or shape other columns."""
+    return [effect for effect in effects if not effect.only_adds]
 
 
 def predicted(columns: Array, coefficients: Array) -> Array:
@@ -348,13 +351,13 @@ def predicted(columns: Array, coefficients: Array) -> Array:
 
 def reweighted(fit: Fit, scale: Array) -> Fit:
     """The same model fitted with other weights."""
-    start = _with_values(fit, fit.prior_mean(), fit.at_prior, scale, OF_COLUMNS)
-    right = np.zeros(len(start.theta))
-    for support, moment, each in zip(start.support, start.moments, scale, strict=True):
+    start = _with_values(fit, fit.theta, fit.residual, scale, OF_COLUMNS)
+    right = np.zeros(start.n_columns)
+    for support, moment, each in zip(start.design.support, start.prior_moments, scale, strict=True):
         right[support] += moment / each**2
     change = cho_solve(start.factor, right)
-    residual = start.residual - start.predicted(change)
-    return _with_values(start, start.theta + change, residual, scale, (*OF_COLUMNS, 'factor'))
+    residual = start.at_prior - start.design.predicted(change)
+    return _with_values(start, start.prior_mean() + change, residual, scale, (*OF_COLUMNS, 'factor'))
 
 
 def refit_weights(first: Fit) -> Fit:

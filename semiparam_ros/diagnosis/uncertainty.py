@@ -60,7 +60,7 @@ def estimates(fit: Fit, found: Collection[int], disturbed: Sequence[Samples] = (
     if np.log(whole.coefficients[1] + 1e-300).mean() <= np.log(sliding.coefficients[1] + 1e-300).mean():
         return whole
     acts = np.zeros(fit.n_columns, dtype=bool)
-    for support, rows in zip(fit.sliding.support, fit.sliding.rows, strict=True):
+    for support, rows in zip(fit.sliding.design.support, fit.sliding.design.rows, strict=True):
         acts[support] |= rows.any(axis=0)
     return sliding._replace(coefficients=np.where(acts, sliding.coefficients, whole.coefficients))
 
@@ -108,7 +108,8 @@ def _rows(fit: Fit, columns: Array) -> Iterator[tuple[int, Indices, Indices, Arr
     """Each channel, its samples in use (M,), the columns of theta and further ones (N, n, c) that
     act there (a,), and these over the channel's scale (M, a)."""
     further = fit.n_columns + np.arange(columns.shape[2])
-    for channel, (used, support, rows) in enumerate(zip(fit.in_use, fit.support, fit.rows, strict=True)):
+    for channel, (used, support, rows) in enumerate(zip(
+            fit.samples_in_use.numbers, fit.design.support, fit.design.rows, strict=True)):
         weighed = np.hstack([rows, columns[used, channel]]) / fit.scale[channel]
         yield channel, used, np.append(support, further), weighed
 
@@ -134,7 +135,7 @@ def _shift(fit: Fit, disturbed: Samples, calibrated: Sequence[int], shapes: list
     """(p + c,) by which a fit on the disturbed samples would miss what the fit predicts on its own."""
     there = replace(fit, samples=disturbed)
     columns = np.concatenate(_further(there, calibrated, shapes), axis=2)
-    missed = (fit.samples.outputs - fit.residual - there.predicted(fit.theta)) / fit.scale
+    missed = (fit.samples.outputs - fit.residual - there.design.predicted(fit.theta)) / fit.scale
     moments = np.zeros(there.n_columns + columns.shape[2])
     for channel, used, acting, weighed in _rows(there, columns):
         moments[acting] += weighed.T @ missed[used, channel]

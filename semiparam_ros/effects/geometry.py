@@ -277,12 +277,14 @@ def _centred(past: _Past, wanted: Stamps) -> Array:
     away = np.asarray((stamps[rows] - wanted[:, None]) * 1e-9, dtype=float)
     enough = np.partition(np.abs(away), DEGREE + 1, axis=1)[:, [DEGREE + 1]]  # of samples that count, in a gap too
     away /= np.maximum(HALF_WIDTH * np.median(np.diff(stamps)) * 1e-9, enough)
-    weights = np.maximum(1.0 - np.abs(away) ** 3, 0.0) ** 3
-    powers = away[:, :, None] ** np.arange(DEGREE + 1)
-    normal = np.einsum('tpi,tp,tpj->tij', powers, weights, powers)
+    weights = np.maximum(1.0 - np.abs(away * away * away), 0.0)
+    weights *= weights * weights
+    powers = np.ones((*away.shape, DEGREE + 1))
+    np.multiply.accumulate(np.broadcast_to(away[:, :, None], (*away.shape, DEGREE)), axis=2, out=powers[:, :, 1:])
+    weighted = powers * weights[:, :, None]
     first = np.broadcast_to(np.eye(DEGREE + 1)[:, :1], (len(rows), DEGREE + 1, 1))
-    shares = np.einsum('tpi,tij,tp->tp', powers, np.linalg.solve(normal, first), weights)
-    return np.asarray(np.einsum('tp,tpj->tj', shares, values[rows]))
+    shares = weighted @ np.linalg.solve(powers.transpose(0, 2, 1) @ weighted, first)
+    return np.asarray((shares.transpose(0, 2, 1) @ values[rows])[:, 0])
 
 
 def _parabola(values: Array, stamps: Stamps, left: Stamps, right: Stamps, ahead: Array) -> Array:

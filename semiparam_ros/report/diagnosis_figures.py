@@ -328,7 +328,7 @@ def suspicions(diagnosis: Diagnosis) -> list[Suspicion]:
 def against_suspected(diagnosis: Diagnosis, suspicion: Suspicion) -> Figure:
     """The residual of an output before and after what was found in it, where it fitted."""
     channel = suspicion.channel
-    use = diagnosis.final.in_use[channel]
+    use = diagnosis.final.samples_in_use.numbers[channel]
     variable = Variable(suspicion.variable.label, suspicion.variable.values[use])
     sides = (('before', suspicion.step.before.residual[use, channel], BEFORE),
              ('after', diagnosis.final.residual[use, channel], AFTER))
@@ -359,7 +359,7 @@ def against_unexplained(fit: Fit, structure: Structure) -> tuple[Figure, str]:
     their own.
     """
     channel = int(np.argmax(structure.channel_shares))
-    use = fit.in_use[channel]
+    use = fit.samples_in_use.numbers[channel]
     residual, time = fit.residual[use, channel], without_pauses(fit.samples)[use]
     names = [each.name for each in structure.variables]
     chosen = sorted(names, key=lambda name: name == 'time')[:MOST_VARIABLES] or ['time']

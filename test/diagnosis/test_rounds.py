@@ -271,10 +271,10 @@ def test_a_round_that_is_over_keeps_none_of_what_its_models_and_trials_computed(
     steps = search(starting_fit(body, samples, (), np.ones(600, dtype=bool)), kinds('effort'))
     assert len(steps) > 0
     for step in steps:
-        assert not {'blocks', 'rows', 'corrected', 'asked'} & vars(step.before).keys()
+        assert not {'design', 'sliding', 'corrected', 'asked'} & vars(step.before).keys()
         assert all(trial.residual is None for trial in step.ranking)
     others = [one for one in gc.get_objects() if isinstance(one, Fit) and one is not steps[-1].after]
-    assert not [one for one in others if one.body is body and one.samples is samples and 'rows' in vars(one)]
+    assert not [one for one in others if one.body is body and one.samples is samples and 'design' in vars(one)]
 
 
 @pytest.mark.parametrize('text', [
@@ -293,8 +293,21 @@ def test_a_model_made_of_another_ones_parts_is_the_same_as_one_made_anew(text):
         np.testing.assert_allclose(shared.theta, anew.theta, rtol=1e-9, atol=1e-9)
         np.testing.assert_allclose(shared.residual, anew.residual, rtol=1e-9, atol=1e-9)
         columns = CoupledColumns(BODY, effects).batch(samples)[0]
-        np.testing.assert_allclose(shared.predicted(np.append(shared.theta[:-2], [0.0, 0.0])),
+        np.testing.assert_allclose(shared.design.predicted(np.append(shared.theta[:-2], [0.0, 0.0])),
                                    columns @ shared.theta[:-2], atol=1e-9)
+
+
+def test_a_search_ends_once_what_was_found_shows_that_more_samples_are_needed():
+    """It went on to its end, and then all began anew: a minute of an arm of seven joints took four searches."""
+    motion, words = smooth_motion(4, 6000, rate=200.0, seed=1, speed=2.0), []
+    outputs = BODY.regressors(motion) @ BODY.base_parameters
+    outputs = outputs + outputs.std(axis=0) / motion.velocity.std(axis=0) * motion.velocity
+    found = diagnose(BODY, replace(motion, outputs=noisy(outputs, 1e-3, 1)), only=RUBBING,
+                     progress=lambda text, share: words.append(text))
+    ends = [number for number, text in enumerate(words) if text.startswith('round 1: found')]
+    assert len(ends) == 2 and found.config.working_rate_hz > DEFAULTS.working_rate_hz
+    assert all(text.startswith('round 1') for text in words[:ends[1]]), 'no second round before'
+    assert {finding.effect.kind for finding in found.findings} == {'viscous_friction'}
 
 
 def test_friction_of_one_joint_is_not_taken_for_friction_of_all(long):

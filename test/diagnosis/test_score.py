@@ -1,6 +1,7 @@
 """The score of a model: what it is, what it costs an effect, and what no sum of samples makes up for."""
 
 from dataclasses import replace
+from itertools import pairwise
 from types import SimpleNamespace
 
 import numpy as np
@@ -19,7 +20,6 @@ from semiparam_ros.diagnosis.search.revision import pruned
 from semiparam_ros.diagnosis.search.score import (
     BlockGrams,
     ChannelGrams,
-    block_edges,
     block_grams,
     columns_of_effects,
     gain,
@@ -91,13 +91,34 @@ def test_columns_that_repeat_each_other_without_noise_are_fitted_all_the_same():
 
 def test_the_grams_of_a_model_are_those_of_its_columns():
     fit = fitted(moving(), [KINDS['viscous_friction']('turn'), KINDS['joint_offset']('grip', {'offset': 0.0})])
-    edges, found = block_edges(fit), block_grams(fit)
+    edges, found = fit.samples_in_use.edges, block_grams(fit)
     assert len(found.prior) == fit.n_columns + 1 and found.counts.sum() == 4 * COUNT
     assert len(edges) + 1 == fit.config.blocks and np.ptp(np.diff(edges)) <= 1
     np.testing.assert_allclose(found.power.sum(axis=0), np.sum(
         (fit.at_prior + fit.effects[1].value('offset') * offset_columns(fit)) ** 2, axis=0))
     kept = np.arange(fit.n_columns)
     assert found.scale_with(kept, fit.scale) == pytest.approx(fit.scale, rel=0.05)
+
+
+def test_products_of_parts_are_those_of_the_columns_in_each_block_and_channel():
+    """Parts remember them; here a model made of another one's, where outputs of one joint count from later on."""
+    samples, counted, use = moving(), np.ones((COUNT, 4), dtype=bool), np.arange(COUNT) % 300 < 250
+    counted[:500, 1] = counted[::3, 2] = False
+    known, new = KINDS['viscous_friction']('turn'), KINDS['payload']('tool', span=Span(start_s=20.0))
+    fit = with_effects(fit_model(BODY, samples, [known], use, np.ones(4), counted=counted), [new, known])
+    columns, edges = fit.assembly.batch(samples)[0], [0, *fit.samples_in_use.edges, COUNT]
+    found = block_grams(fit)
+    for channel, each in enumerate(found.channels):
+        for block, (start, end) in enumerate(pairwise(edges)):
+            rows = np.arange(start, end)[(use & counted[:, channel])[start:end]]
+            own, left = columns[rows, channel], fit.at_prior[rows, channel]
+            np.testing.assert_allclose(each.gram[block], (own.T @ own)[np.ix_(each.acting, each.acting)], atol=1e-9)
+            np.testing.assert_allclose(each.moment[block], (own.T @ left)[each.acting], atol=1e-9)
+            assert found.counts[block, channel] == len(rows)
+            assert found.power[block, channel] == pytest.approx(left @ left)
+        whole = columns[use & counted[:, channel], channel][:, each.acting]
+        np.testing.assert_array_equal(fit.design.rows[channel], whole)
+        np.testing.assert_allclose(fit.design.grams[channel], whole.T @ whole, rtol=1e-9, atol=1e-9)
 
 
 def offset_columns(fit):

@@ -171,13 +171,13 @@ def test_an_output_that_counts_from_later_on_scatters_in_its_own_stretches_alone
     samples = replace(MOTION, outputs=EXACT + 0.01 * EXACT.std(axis=0) * of_the_motion(rng))
     used = np.ones(len(samples), dtype=bool)
     fit = refit_weights(fit_model(BODY, samples, [], used, np.ones(4), counted=counted))
+    columns = fit.assembly.batch(samples)[0]
     covariance, pulls = fit.theta_covariance(), np.einsum(
-        'nkp,nk->np', np.concatenate(fit.blocks, axis=2), counted * fit.residual / fit.scale**2)
+        'nkp,nk->np', columns, counted * fit.residual / fit.scale**2)
     changes = np.array([part.sum(axis=0) for part in np.array_split(pulls, fit.config.blocks)]) @ covariance
     clustered = np.sqrt((changes**2).sum(axis=0) * fit.config.blocks / (fit.config.blocks - 1))
     repeated = sum((memory - 1.0) * rows.T @ rows / scale**2 for memory, rows, scale in zip(
-        fit.correlation, [np.concatenate(fit.blocks, axis=2)[use, k] for k, use in enumerate(counted.T)], fit.scale,
-        strict=True))
+        fit.correlation, [columns[use, k] for k, use in enumerate(counted.T)], fit.scale, strict=True))
     single = np.sqrt(np.diag(covariance + covariance @ repeated @ covariance))
     std = estimates(replace(fit, body=BODY), []).coefficients[1]
     np.testing.assert_allclose(std, np.maximum(single, clustered), rtol=1e-9)

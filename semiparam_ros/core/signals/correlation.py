@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.fft import irfft, next_fast_len, rfft
 
 from semiparam_ros.core.types import Array
 
 
 def autocovariance(values: Array) -> Array:
-    """(2 N,) sums of products of values (N,), less their mean, with those after them, by lag."""
-    spectrum = np.fft.rfft(values - values.mean(), 2 * len(values))
-    return np.asarray(np.fft.irfft(np.abs(spectrum) ** 2))
+    """(N,) sums of products of values (N,), less their mean, with those after them, by lag."""
+    length = next_fast_len(2 * len(values), real=True)
+    spectrum = rfft(values - values.mean(), length)
+    return np.asarray(irfft(np.abs(spectrum) ** 2, length)[:len(values)])
 
 
 def correlation_time(values: Array, longest_share: float = 1.0) -> float:

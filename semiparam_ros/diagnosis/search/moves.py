@@ -33,6 +33,17 @@ class Move(NamedTuple):
     gain: Gain
     price: float
 
+    @classmethod
+    def of(cls, added: Sequence[Effect], fit: Fit, after: Fit, price: float, times_s: Collection[float] = ()) -> Move:
+        """The move from a model to one with effects added; see :func:`gain`. One of many is made, so of the model only
+        what tells it from others is kept."""
+        gained = gain(fit, after, times_s)
+        if after is not fit:
+            sums = after.sums
+            after.forget()
+            after.sums.update(sums)
+        return cls(tuple(added), after, gained, price)
+
     @property
     def net(self) -> float:
         """[nat] what it gains beyond its price."""
@@ -51,7 +62,7 @@ def _plausible_moves(fit: Fit, after: Fit, added: Sequence[Effect], kinds: Colle
     if not all_plausible(fit, after):
         return []
     times = [time_s for effect in added for time_s in effect.span.values.values()]
-    return [Move(tuple(added), after, gain(fit, after, times), prices(added, fit, kinds))]
+    return [Move.of(added, fit, after, prices(added, fit, kinds), times)]
 
 
 def single_moves(fit: Fit, ranking: Sequence[Trial], kinds: Collection[str]) -> list[Move]:
@@ -102,8 +113,8 @@ def ending_moves(fit: Fit) -> list[Move]:
             ended = with_best_edge(rest, effect, 'end_s', (max(first, effect.start_s or first), last))
             after = declare(with_effects(fit, [ended if known is effect else known for known in fit.effects]), [])
             if all_plausible(fit, after) and plausible(after, number):
-                moves.append(Move((ended,), after, gain(fit, after, [float(ended.end_s or last)]),
-                                  math.log(fit.config.start_grid)))
+                moves.append(Move.of((ended,), fit, after, math.log(fit.config.start_grid),
+                                     [float(ended.end_s or last)]))
     return moves
 
 
@@ -116,7 +127,7 @@ def swapping_moves(fit: Fit, pairs: Sequence[tuple[Effect, Effect]], kinds: Coll
         if all_plausible(rest, after):
             times = set(known.span.values.values()) ^ set(rival.span.values.values())
             price = prices([rival], rest, kinds) - prices([known], rest, kinds)
-            moves.append(Move((rival,), after, gain(fit, after, times), price))
+            moves.append(Move.of((rival,), fit, after, price, times))
     return moves
 
 
@@ -136,7 +147,7 @@ def group_moves(fit: Fit, trials: Sequence[Trial], fixed: Collection[Place], kin
             after = pruned(after, {*fixed, *known}, kinds)
             added = tuple(effect for effect in after.effects if identity(effect) not in known)
             if added:
-                moves.append(Move(added, after, gain(fit, after), prices(added, fit, kinds)))
+                moves.append(Move.of(added, fit, after, prices(added, fit, kinds)))
     return moves
 
 

@@ -17,7 +17,6 @@ from __future__ import annotations
 from collections.abc import Collection
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -29,6 +28,7 @@ from semiparam_ros.core.types import Array, Indices
 from semiparam_ros.diagnosis.config import DiagnosisConfig
 from semiparam_ros.diagnosis.data.recordings import breaks_s
 from semiparam_ros.diagnosis.data.splits import block_sums
+from semiparam_ros.diagnosis.design import Part, PartInUse
 from semiparam_ros.diagnosis.regression import Fit, refit_weights, with_effects
 from semiparam_ros.diagnosis.search.candidates import added_columns, identity
 from semiparam_ros.diagnosis.search.refit import calibrated_values, points_of, shape_columns, told_by_sliding
@@ -136,20 +136,15 @@ def _log_evidence(weighed: Array) -> Array:
 
 def block_grams(fit: Fit) -> BlockGrams:
     """Block grams of a fitted model."""
-    further, spread, values = _open_columns(fit)
-    target, edges, blocks = fit.at_prior + further @ values, block_edges(fit), fit.config.blocks
-    channels, power, counts = [], np.zeros((blocks, len(fit.scale))), np.zeros((blocks, len(fit.scale)))
-    for number, (used, support, rows) in enumerate(zip(fit.in_use, fit.support, fit.rows, strict=True)):
-        acting = np.flatnonzero(further[used, number].any(axis=0))
-        table = np.hstack([rows, further[used, number][:, acting]])
-        outputs, ends = target[used, number], [0, *np.searchsorted(used, edges).tolist(), len(used)]
-        gram, moment = np.empty((blocks, table.shape[1], table.shape[1])), np.empty((blocks, table.shape[1]))
-        for block, (start, end) in enumerate(pairwise(ends)):
-            part, left = table[start:end], outputs[start:end]
-            gram[block], moment[block] = part.T @ part, part.T @ left
-            power[block, number], counts[block, number] = left @ left, end - start
-        channels.append(ChannelGrams(np.append(support, fit.n_columns + acting), gram, moment))
-    return BlockGrams(np.append(fit.prior_deviation, spread), channels, power, counts)
+    columns, spread, values = _open_columns(fit)
+    samples, design = fit.samples_in_use, fit.design
+    further, target = PartInUse(Part(columns), samples), fit.at_prior + columns @ values
+    acting = [numbers + design.n_columns for numbers in further.part.acting]
+    channels = [ChannelGrams(np.append(support, more), gram, moment) for support, more, gram, moment in zip(
+        design.support, acting, design.block_grams(further), design.moments(target, [further]), strict=True)]
+    power = [(samples.of(channel, left[None])[0] ** 2).sum(axis=1) for channel, left in enumerate(target.T)]
+    return BlockGrams(np.append(fit.prior_deviation, spread), channels, np.stack(power, axis=1),
+                      np.diff(samples.ends).T.astype(float))
 
 
 def _open_columns(fit: Fit) -> tuple[Array, Array, Array]:
@@ -164,12 +159,6 @@ def _open_columns(fit: Fit) -> tuple[Array, Array, Array]:
     return (np.concatenate([shape_columns(fit, []), *columns, shape_columns(fit, points)], axis=2),
             np.concatenate([np.zeros(0), *spread, np.full(len(points), reach_of(fit.body))]),
             np.concatenate([np.zeros(0), *values, where]))
-
-
-def block_edges(fit: Fit) -> Array:
-    """(B - 1,) sample numbers at which blocks begin: as many samples in use each."""
-    used, blocks = np.flatnonzero(fit.train_mask), fit.config.blocks
-    return np.asarray(used[np.arange(1, blocks) * len(used) // blocks])
 
 
 def gain(before: Fit, after: Fit, times_s: Collection[float] = ()) -> Gain:
@@ -243,8 +232,8 @@ def coarsened(correlation: Array, counts: Array, config: DiagnosisConfig) -> Arr
 
 def _densities(fit: Fit, correlation: Array, gone: Indices) -> Array:
     """(B,) of a model without some of its columns."""
-    grams: BlockGrams = fit.asked.get('grams') or block_grams(fit)
-    fit.asked['grams'] = grams
+    grams: BlockGrams = fit.sums.get('grams') or block_grams(fit)
+    fit.sums['grams'] = grams
     if not len(gone):
         return grams.densities(fit.scale, correlation)
     kept = np.setdiff1d(np.arange(len(grams.prior)), gone)

@@ -125,8 +125,8 @@ def refined(fit: Fit, trial: Trial) -> Trial:
     near = _weighed(fit, trial)
     if trial.effect.is_calibration:
         settled = gauss_newton(with_effects(near, [*fit.effects, trial.effect]), [trial.effect])
-        return replace(trial, effect=settled.effects[-1], residual=lambda: settled.residual,
-                       squares=settled.squares)
+        left = settled.residual
+        return replace(trial, effect=settled.effects[-1], residual=lambda: left, squares=settled.squares)
     best = _refined_once(near, trial)
     if trial.many_valued:
         best = _settled(fit, best)

@@ -146,7 +146,8 @@ def _sums_from(fit: Fit, columns: Array, starts: Indices) -> tuple[Array, Array,
     gram, right = np.zeros((len(starts), size, size)), np.zeros((len(starts), size))
     cross = np.zeros((len(starts), fit.n_columns, size))
     for channel in np.flatnonzero(columns.any(axis=(0, 2))).tolist():
-        used, rows, support = fit.in_use[channel], fit.rows[channel], fit.support[channel]
+        used, rows, support = (each[channel] for each in (
+            fit.samples_in_use.numbers, fit.design.rows, fit.design.support))
         own, residual, weight = columns[used, channel], fit.residual[used, channel, None], fit.scale[channel] ** -2.0
         # One product a start: a few samples lie between most of them, and then a call costs more than its sums.
         left, part, sums = np.hstack([own, residual, rows]).T, own * weight, []
