@@ -37,7 +37,8 @@ class Interrupt:
     def ignored(self, what: UnraisableHookArgs) -> None:
         """Take the place of ``sys.unraisablehook`` meanwhile."""
         if issubclass(what.exc_type, KeyboardInterrupt):
-            self.again = threading.Timer(AGAIN_S, signal.raise_signal, [signal.SIGINT])
+            # To the main thread: what it waits in would not end for a signal that another one takes.
+            self.again = threading.Timer(AGAIN_S, signal.pthread_kill, [threading.main_thread().ident, signal.SIGINT])
             self.again.daemon = True
             self.again.start()
         else:
