@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -88,8 +89,10 @@ def search(fit: Fit, kinds: dict[str, type[Effect]], progress: Progress = lambda
             shaped = reshaped(fit, fixed, kinds) if steps else fit
             if shaped is fit:
                 break
-            fit = pruned(shaped, fixed, kinds)
+            before, fit = fit, pruned(shaped, fixed, kinds)
             steps[-1] = replace(steps[-1], after=fit)
+            if len(fit.effects) == len(before.effects) and not _worth_a_round(before, fit):
+                break
             continue
         step.before.forget()  # far larger than the rest, as what trials leave
         fit = step.after
@@ -140,10 +143,16 @@ def _first_made(fit: Fit, ranking: Sequence[Trial], fixed: Collection[Place], ki
         step = _made(fit, best, moves, ranking, fixed, kinds)
         if step.added:
             report(f'found {", ".join(place(effect.kind, effect.where) for effect in step.added)}', 1.0)
-        if step.added or (steps and gain(fit, step.after).total > fit.config.settled_gain):
+        if step.added or (steps and _worth_a_round(fit, step.after)):
             return step
         good = [move for move in good if move is not best]
     return None
+
+
+def _worth_a_round(before: Fit, after: Fit) -> bool:
+    """Return whether other values of a model gain as much as any effect costs: less than that makes no other one
+    worth its price."""
+    return gain(before, after).total > math.log(before.config.odds)
 
 
 def _revalued(fit: Fit, kinds: Collection[str], ranking: Sequence[Trial]) -> Step | None:
