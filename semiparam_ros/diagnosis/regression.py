@@ -215,10 +215,12 @@ class Fit:
         counted = np.where(few, self.counted, slides)
         return refit_weights(refitted(self, self.effects, self.nuisance, counted))
 
-    def forget(self) -> None:
-        """Let go of the arrays that are large and can be computed anew from the samples and the effects."""
+    def forget(self, *kept: str) -> None:
+        """Let go of the arrays that are large and can be computed anew from the samples and the effects, but for some
+        by their names in ``LARGE``."""
         for name in LARGE:
-            self.__dict__.pop(name, None)
+            if name not in kept:
+                self.__dict__.pop(name, None)
 
     def used(self, values: Array) -> Array:
         """(M, n) of values (N, n) those of samples in use, zero where an output does not count."""

@@ -39,9 +39,7 @@ class Move(NamedTuple):
         what tells it from others is kept."""
         gained = gain(fit, after, times_s)
         if after is not fit:
-            sums = after.sums
-            after.forget()
-            after.sums.update(sums)
+            after.forget('sums')
         return cls(tuple(added), after, gained, price)
 
     @property
@@ -208,6 +206,7 @@ def _alike(one: Move, other: Move) -> bool:
     """Return whether no block tells them apart, nor rounding: an offset from a time on is one until then. What the
     description leaves open is taken up to ``better_odds`` before as many values of what it says."""
     difference, config = gain(one.after, other.after), one.after.config
+    one.after.forget('sums')
     mine, known = one.added[0], other.added[0]
     left_open = known.is_calibration and not mine.is_calibration \
         and values_of(mine, one.after) == values_of(known, other.after)

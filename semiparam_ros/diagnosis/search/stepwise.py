@@ -204,6 +204,7 @@ def _rivals(fit: Fit, chosen: Move, moves: Sequence[Move]) -> tuple[Rival, ...]:
         if overlap(fit, chosen.after.residual, move.after.residual) < fit.config.alike:
             continue
         gains = block_gains(chosen.after, move.after)
+        move.after.forget('sums')
         drawn = gains[generator.integers(len(gains), size=(draws, len(gains)))].sum(axis=1)
         better = min(int((drawn > 0.0).sum()), draws - 1)
         if better > 1:
