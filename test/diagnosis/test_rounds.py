@@ -424,8 +424,9 @@ def test_a_cause_at_several_times_is_one_rival(monkeypatch):
     """A load with its end open and the same until a time stood side by side, each the likelier one."""
     fit, known = SimpleNamespace(config=DEFAULTS, residual=np.zeros(1)), kinds('effort')
     causes = (('external_force', 5), ('payload', 1), ('joint_spring', 0), ('payload', 3), ('payload', 2))
-    moves = [Move((known[kind]('finger', span=Span(float(at))),), SimpleNamespace(residual=np.array(lost)),
-                  Gain(1.0, 0.1), 0.0) for at, (kind, lost) in enumerate(causes)]
+    moves = [Move((known[kind]('finger', span=Span(float(at))),), SimpleNamespace(
+        residual=np.array(lost), forget=lambda *kept: None), Gain(1.0, 0.1), 0.0)
+        for at, (kind, lost) in enumerate(causes)]
     monkeypatch.setattr(stepwise, 'overlap', lambda *models: 1.0)
     monkeypatch.setattr(stepwise, 'block_gains', lambda _, other: np.sign(np.arange(0.5, 24.0) - 10.0 - other.residual))
     force, *rivals = moves

@@ -130,7 +130,7 @@ def test_rounding_tells_no_times_apart(monkeypatch):
 
     def move(span, total):
         offset = kinds()['effort_offset']('turn', span=span)
-        after = SimpleNamespace(effects=(offset,), body=BODY, config=DEFAULTS)
+        after = SimpleNamespace(effects=(offset,), body=BODY, config=DEFAULTS, forget=lambda *kept: None)
         return Move((offset,), after, Gain(total, 0.0), 10.0)
 
     since, until = move(Span(5.0), 30.0), move(Span(end_s=5.0), 30.0 + 1e-9)
@@ -145,7 +145,8 @@ def test_what_the_description_leaves_open_is_taken_before_a_wrong_zero_that_is_h
         return Gain(difference if one.effects[0].kind == 'rotor_inertia' else -difference, 1.0)
 
     def move(effect, total):
-        return Move((effect,), SimpleNamespace(effects=(effect,), body=BODY, config=DEFAULTS), Gain(total, 0.0), 10.0)
+        after = SimpleNamespace(effects=(effect,), body=BODY, config=DEFAULTS, forget=lambda *kept: None)
+        return Move((effect,), after, Gain(total, 0.0), 10.0)
 
     monkeypatch.setattr('semiparam_ros.diagnosis.search.moves.gain', over)
     zero, rotor = kinds()['joint_offset']('turn', {'offset': 0.2}), kinds()['rotor_inertia']('elbow')
