@@ -165,8 +165,7 @@ class Design:
     @cached_property
     def grams(self) -> list[Array]:
         """(p_k, p_k) of each channel k the products of its columns."""
-        return [self._assembled(channel, self.parts, ())
-                for channel in range(len(self.support))]
+        return [self._assembled(channel, self.parts, ()) for channel in range(len(self.support))]
 
     def block_grams(self, further: PartInUse) -> list[Array]:
         """(B, p_k, p_k) of each channel k the products of its columns, those of a further part last, block by block."""

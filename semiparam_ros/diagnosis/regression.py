@@ -249,12 +249,15 @@ class Fit:
     @cached_property
     def moments(self) -> list[Array]:
         """(p_k,) of each channel k the products of what it feels with the residual, of the samples in use."""
-        return [moment.sum(axis=0) for moment in self.design.moments(self.residual)]
+        return self._moments(self.residual)
 
     @cached_property
     def prior_moments(self) -> list[Array]:
         """The same with what the prior mean leaves."""
-        return [moment.sum(axis=0) for moment in self.design.moments(self.at_prior)]
+        return self._moments(self.at_prior)
+
+    def _moments(self, values: Array) -> list[Array]:
+        return [moment.sum(axis=0) for moment in self.design.moments(values)]
 
     def _products(self, columns: Array) -> list[Products]:
         """Products of further columns (N, n, c), of each channel in which they act."""
