@@ -301,6 +301,9 @@ def test_a_model_made_of_another_ones_parts_is_the_same_as_one_made_anew(text):
                                                  'payload@tool{"start_s": 8.0}', 'joint_offset@turn{"offset": 0.1}')]
     nuisance, counted = np.random.default_rng(0).standard_normal((600, 4, 2)), ~resting(samples)
     first = refitted(fit_model(BODY, samples, known, use, scale, counted=counted), known, nuisance, counted)
+    others = refitted(first, known, nuisance[::-1], counted)
+    np.testing.assert_allclose(others.theta, refitted(fit_model(
+        BODY, samples, known, use, scale, counted=counted), known, nuisance[::-1], counted).theta, rtol=1e-9, atol=1e-9)
     for effects in ([*known, effect_from_text(text)], [known[1], effect_from_text(text), known[0]], known[:1]):
         shared = with_effects(first, effects)
         anew = refitted(fit_model(BODY, samples, effects, use, scale, counted=counted), effects, nuisance,

@@ -106,6 +106,11 @@ def test_products_of_parts_are_those_of_the_columns_in_each_block_and_channel():
     counted[:500, 1] = counted[::3, 2] = False
     known, new = KINDS['viscous_friction']('turn'), KINDS['payload']('tool', span=Span(start_s=20.0))
     fit = with_effects(fit_model(BODY, samples, [known], use, np.ones(4), counted=counted), [new, known])
+    for each in (fit, with_effects(fit, [known, new])):
+        same_products(each, samples, use, counted)
+
+
+def same_products(fit, samples, use, counted):
     columns, edges = fit.assembly.batch(samples)[0], [0, *fit.samples_in_use.edges, COUNT]
     found = block_grams(fit)
     for channel, each in enumerate(found.channels):
