@@ -61,6 +61,8 @@ class Ensemble:
     def __init__(self, models: Sequence[OnlineModel], columns: CoupledColumns, options: ModelOptions) -> None:
         self.models, self._columns = tuple(models), columns
         self._without_features = np.flatnonzero([each.model.features is None for each in models])
+        self.rigid_body_index = int(self._without_features[0]) if len(self._without_features) else 0
+        """Of the rigid body alone, with the declared effects; of the first model where there is none."""
         self._without_effects = next((each.columns for each in models if not each.columns.effects), columns)
         n_models, n_outputs = len(self.models), columns.body.n_outputs
         self._log_weights = np.zeros((n_models, n_outputs))

@@ -424,16 +424,12 @@ class Estimator:
     def rigid_body_model(self) -> Model:
         """Model of the rigid body alone, with the declared effects, where one is averaged; else the
         first one's: what features explain beside it is not in the coefficients of the first."""
-        return self.ensemble.models[self._rigid_body_index()].model
-
-    def _rigid_body_index(self) -> int:
-        return self.members.index(Member('P')) if Member('P') in self.members else 0
+        return self.ensemble.models[self.ensemble.rigid_body_index].model
 
     def rigid_body_part(self, prediction: Prediction) -> tuple[Prediction, Model] | None:
         """Prediction of a sample by the rigid body alone, with the declared effects, and its model;
         None where every model has features, or coefficients that are fixed."""
-        index = self._rigid_body_index()
-        model = self.ensemble.models[index].model
+        index, model = self.ensemble.rigid_body_index, self.rigid_body_model
         if model.features is not None or model.pi is not None or model.learnt.start:
             return None
         return prediction.by_member(index), model

@@ -44,8 +44,9 @@ from semiparam_ros.core.types import Array
 from semiparam_ros.effects import Effect, effect_from_text, effect_to_text
 from semiparam_ros.effects.base import STAMP_TOLERANCE_NS, Span
 from semiparam_ros.effects.loads import Payload
-from semiparam_ros.online.changes import BLOCK_S, CONTACT_S, SURE, MotionBlock, gained
+from semiparam_ros.online.changes import BLOCK_S, CONTACT_S, SURE, gained
 from semiparam_ros.online.identified_parameters import Load
+from semiparam_ros.online.motion_block import MotionBlock
 
 TRIED_S = 30.0
 """[s of motion] An effect for which nothing speaks so long is dropped."""

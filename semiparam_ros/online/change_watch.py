@@ -38,11 +38,11 @@ from semiparam_ros.online.changes import (
     Change,
     ChangeDetector,
     Followed,
-    MotionBlock,
 )
 from semiparam_ros.online.history import History
 from semiparam_ros.online.identified_parameters import Load
 from semiparam_ros.online.learning import Learning, learning_after
+from semiparam_ros.online.motion_block import MotionBlock
 from semiparam_ros.online.worker import Background, Urgency
 
 if TYPE_CHECKING:

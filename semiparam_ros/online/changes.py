@@ -54,7 +54,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
-from itertools import pairwise
+from itertools import accumulate, pairwise
 from math import log
 from typing import NamedTuple
 
@@ -88,6 +88,7 @@ from semiparam_ros.online.contact_gate import (
     Tail,
 )
 from semiparam_ros.online.identified_parameters import Load
+from semiparam_ros.online.motion_block import BlockSums, MotionBlock, add_sample
 from semiparam_ros.online.wandering_contact import contact_scale, edge_sums, wandering
 
 BLOCK_S = 0.25
@@ -155,30 +156,6 @@ class Change(NamedTuple):
     ended: int | None = None
     touched: int = 0
     """[ns] since when what was taken for a contact stood out, from which it cannot be told."""
-
-
-class MotionBlock(NamedTuple):
-    """Products of a quarter of a second of motion from ``start`` to ``end`` [ns]."""
-
-    start: int
-    end: int
-    gram: Array  # (K, K) A
-    moment: Array  # (K,) h
-    innovation: tuple[Array, float]
-    """(K,) h, and weighed squares, of the model as it was when the block began."""
-    live: float  # weighed squares that the model leaves as it stands
-    own: Array
-    """(6, n) of each output the sums of w (1, t, t^2, r, r t, r^2), with weights w and time t in
-    blocks."""
-    along: Array
-    """(2, n, K) of each output the sums of w C L and w t C L."""
-    wrench: tuple[Array, Array, Array]
-    """(12, 12), (12,) and (12, K) sums of E' W E, E' W r and E' W C L with E = [(1 - t) J, t J], of a wrench at the
-    hand when the block begins and ends."""
-    added: Array
-    """(m, 2, n) of each output the sums of w r k and w k^2, of what known effects add, k."""
-    unlike: float = 0.0
-    """Share of it that is unlike all that was learnt."""
 
 
 class ContactSums(NamedTuple):
@@ -341,6 +318,7 @@ class ChangeDetector:
 
     def __init__(self, columns: CoupledColumns, told: int = 0) -> None:
         self.causes, self._directions = causes_of(columns)
+        self._alike = _of_equal_size(self.causes)
         self._n_own = columns.n_own
         after_load = self._directions[: self._n_own, self.causes[0].part.stop :]
         self._own_part = self.causes[0].part.stop + np.flatnonzero(after_load.any(axis=0))
@@ -429,12 +407,10 @@ class ChangeDetector:
 
     def _begin_block(self) -> None:
         p, n = len(self._directions), len(self._names)
-        self._gram, self._moment, self._own = np.zeros((p, p)), np.zeros(p), np.zeros((6, n))
-        self._along = np.zeros((2, n, p))
-        self._wrench = np.zeros((12, 12)), np.zeros(12), np.zeros((12, p))
+        self._sums = BlockSums.none(n, p)
         self._map: Array | None = None
         self._turned: Array = np.zeros((n, 0))
-        self._mapped_at, self._moved = 0.0, (self._own.copy(), self._along.copy())
+        self._mapped_at = 0.0
         self._added, self._unlike = np.zeros((0, 2, n)), np.zeros(2)
         self._seconds, self._start, self._samples = 0.0, 0, 0
 
@@ -526,67 +502,39 @@ class ChangeDetector:
         distance: Callable[[Array], float],
     ) -> Array:
         """Take a sample into the block; (n,) what the reference leaves of it, not weighed."""
-        columns, sample = prediction.columns, prediction.sample
+        columns, sample = np.ascontiguousarray(prediction.columns), prediction.sample
         if self._map is None or self._seconds - self._mapped_at > MAPPED_S - 1e-6:
-            self._move_to_hand()
-            self._map = self._hand.along_base(sample.position)
-            self._turned = self._turns.one(
+            self._map = np.ascontiguousarray(self._hand.along_base(sample.position))
+            self._turned = np.ascontiguousarray(self._turns.one(
                 sample.position, sample.velocity, sample.acceleration, reference[self._rigid]
-            )
+            ))
             self._mapped_at = self._seconds
             self._unlike += (distance(sample.inputs) > LARGEST_DISTANCE, 1.0)
-        rows = np.hstack([columns[:, : self._n_own], self._turned]) * weight[:, None]
         unweighed = sample.outputs - columns @ reference - self._turned @ self._known_turns
-        left = unweighed * weight
         self._samples += 1
         self._judged += (1.0, prediction.begins_step)
-        self._gram += rows.T @ rows
-        self._moment += left @ rows
-        time = self._seconds / BLOCK_S
-        self._along += np.array([weight, time * weight])[:, :, None] * rows
-        squares, pulls = weight * weight, weight * left
-        self._own += (
-            squares,
-            time * squares,
-            time * time * squares,
-            pulls,
-            time * pulls,
-            left * left,
-        )
+        add_sample(self._sums, columns, self._turned, self._map, weight, unweighed, self._seconds / BLOCK_S)
         if added is not None:
-            known = added * weight
+            known, left = added * weight, unweighed * weight
             if len(self._added) != len(known):
                 self._added = np.zeros((len(known), 2, len(left)))
             self._added += np.stack([known * left, known * known], axis=1)
         return np.asarray(unweighed)
 
-    def _move_to_hand(self) -> None:
-        """Add what the outputs felt since the arm's map is that which it is to the wrench's sums."""
-        if self._map is not None:
-            own, (now, late) = self._own - self._moved[0], self._along - self._moved[1]
-            gram, moment = edge_sums(own)
-            felt = self._map.T
-            blocks = (felt * np.moveaxis(gram, 0, -1)[:, :, None]) @ felt.T  # (2, 2, 6, 6)
-            self._wrench[0][...] += blocks.swapaxes(1, 2).reshape(12, 12)
-            self._wrench[1][...] += (felt @ moment).T.ravel()
-            self._wrench[2][...] += np.vstack([felt @ (now - late), felt @ late])
-        self._moved = self._own.copy(), self._along.copy()
-
     def _block(self, stamp: int, theta: Array) -> MotionBlock:
         """The block that ends at a stamp; the next one begins."""
-        directions = self._directions
-        self._move_to_hand()
+        directions, sums = self._directions, self._sums
         before = self._learnt(self._began)
         block = MotionBlock(
             self._start,
             stamp,
-            directions.T @ self._gram @ directions,
-            directions.T @ self._moment,
-            (directions.T @ (self._moment - self._gram @ before), self._squares_left(before)),
+            directions.T @ sums.gram @ directions,
+            directions.T @ sums.moment,
+            (directions.T @ (sums.moment - sums.gram @ before), self._squares_left(before)),
             self._squares_left(self._learnt(theta)),
-            self._own,
-            self._along @ directions,
-            (*self._wrench[:2], self._wrench[2] @ directions),
+            sums.own,
+            sums.along @ directions,
+            (sums.wrench_gram, sums.wrench_moment, sums.wrench_along @ directions),
             self._added,
             float(self._unlike[0] / self._unlike[1]),
         )
@@ -637,7 +585,8 @@ class ChangeDetector:
 
     def _squares_left(self, learnt: Array) -> float:
         """Weighed squares that a model leaves of the block, which has come so far (p + t,)."""
-        return float(self._own[-1].sum() - learnt @ (2.0 * self._moment - self._gram @ learnt))
+        sums = self._sums
+        return float(sums.own[-1].sum() - learnt @ (2.0 * sums.moment - sums.gram @ learnt))
 
     def _calm(self, block: MotionBlock) -> None:
         """Nothing stands out: go on with the model as it stands, unless the one from before
@@ -662,10 +611,9 @@ class ChangeDetector:
         the lengths."""
         lengths = [length for length in LENGTHS if length <= len(self._blocks)]
         starts, ratios = len(self._blocks) - np.array(lengths, dtype=int), list[float]()
-        found = self._explained(
-            _since(np.array([block.gram for block in self._blocks]), starts),
-            _since(moments, starts),
-        )
+        if not lengths:
+            return ratios
+        found = self._explained(_since([block.gram for block in self._blocks], starts), _since(moments, starts))
         free = self.followed is None and not self.touched
         for length, usual, explained in zip(lengths, self._usual, found, strict=False):
             ratios.append(usual.ratio(explained))
@@ -694,13 +642,12 @@ class ChangeDetector:
         """(S, c) what each cause explains of windows, over the number of directions that it tells
         of."""
         found = np.empty((len(grams), len(self.causes)))
-        for number, cause in enumerate(self.causes):
-            along = moments[:, cause.part]
-            inverse = np.linalg.inv(_with_prior(grams[:, cause.part, cause.part]))
-            told = along.shape[1] - np.trace(inverse, axis1=1, axis2=2)
-            found[:, number] = np.einsum('sk,skj,sj->s', along, inverse, along) / np.maximum(
-                told, 1.0
-            )
+        for numbers, parts in self._alike:
+            along = moments[:, parts]
+            inverse = np.linalg.inv(_with_prior(grams[:, parts[:, :, None], parts[:, None]]))
+            told = along.shape[-1] - np.trace(inverse, axis1=-2, axis2=-1)
+            squares = (along[..., None, :] @ inverse @ along[..., None])[..., 0, 0]
+            found[:, numbers] = squares / np.maximum(told, 1.0)
         return found
 
     @property
@@ -1055,12 +1002,17 @@ def _with_prior(gram: Array) -> Array:
     return np.asarray(gram + (1.0 + ROUNDED * largest)[..., None, None] * np.eye(gram.shape[-1]))
 
 
-def _since(values: Array, starts: Indices) -> Array:
+def _of_equal_size(causes: Sequence[Cause]) -> list[tuple[Indices, Indices]]:
+    """Numbers (c,) of causes with as many directions each, and these directions (c, k)."""
+    sizes = np.array([cause.part.stop - cause.part.start for cause in causes])
+    starts = np.array([cause.part.start for cause in causes])
+    numbers = [np.flatnonzero(sizes == size) for size in np.unique(sizes)]
+    return [(alike, starts[alike, None] + np.arange(sizes[alike[0]])) for alike in numbers]
+
+
+def _since(values: Sequence[Array] | Array, starts: Indices) -> Array:
     """(S, ...) sums of values (B, ...) of blocks from each of some on, the latest first or last."""
     edges = np.append(np.unique(starts), len(values))
-    parts = [values[start:end].sum(axis=0) for start, end in pairwise(edges)]
-    return (
-        np.asarray(np.cumsum(parts[::-1], axis=0)[::-1][np.searchsorted(edges, starts)])
-        if len(starts)
-        else values[:0]
-    )
+    parts = [sum(values[start:end], np.zeros_like(values[0])) for start, end in pairwise(edges.tolist())]
+    until_now = list(accumulate(reversed(parts)))[::-1]
+    return np.array([until_now[place] for place in np.searchsorted(edges, starts)])

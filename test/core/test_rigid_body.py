@@ -60,6 +60,17 @@ def icub_full(shared_data):
     return (shared_data / 'icub_arm' / 'iCubGenova01.urdf').read_text()
 
 
+@pytest.mark.parametrize('outputs', ['effort', 'wrench'])
+@pytest.mark.parametrize('tilted', [False, True])
+def test_outputs_of_one_state_are_the_regressor_times_the_parameters(outputs, tilted):
+    body = icub() if outputs == 'wrench' else ODD_BODY
+    body = body.with_gravity(np.array([0.3, -0.2, -9.7])) if tilted else body
+    parameters = np.random.default_rng(1).normal(size=body.n_parameters)
+    for state in states(body.n_joints, 5):
+        np.testing.assert_allclose(body.outputs_at(*state, parameters), body.regressor(*state) @ parameters,
+                                   rtol=1e-10, atol=1e-10)
+
+
 # ---- the wrench at a sensor
 
 

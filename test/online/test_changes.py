@@ -16,10 +16,11 @@ from semiparam_ros.core.robot.size import push_force, size_beyond
 from semiparam_ros.diagnosis.change import gain_since, name_change
 from semiparam_ros.effects import effect_from_text
 from semiparam_ros.online.change_causes import Judged
-from semiparam_ros.online.changes import JUDGED_ANEW, LENGTHS, USUAL, ChangeDetector, MotionBlock
+from semiparam_ros.online.changes import JUDGED_ANEW, LENGTHS, USUAL, ChangeDetector
 from semiparam_ros.online.diagnosis_jobs import diagnose
 from semiparam_ros.online.history import batch_of
 from semiparam_ros.online.learning import Learning
+from semiparam_ros.online.motion_block import MotionBlock
 from semiparam_ros.online.wandering_contact import WANDERS, contact_scale, wandering
 from semiparam_ros.settings import load_params
 from semiparam_ros.settings.build import build_rigid_body

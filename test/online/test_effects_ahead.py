@@ -157,7 +157,7 @@ def test_samples_are_charged_alike_in_motion_never_seen():
         each._familiar, each._usual_size = familiar_s, usual * detector._usual_size
         each.see(*part)
         weighed.append(each.weighed)
-        moments.append(each._moment - detector._moment)
+        moments.append(each._sums.moment - detector._sums.moment)
     np.testing.assert_array_equal(*weighed[:2])
     np.testing.assert_allclose(weighed[2], 0.5 * np.array(weighed[1]))
     assert np.linalg.norm(moments[0]) < 0.5 * np.linalg.norm(moments[1])

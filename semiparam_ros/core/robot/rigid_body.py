@@ -19,8 +19,9 @@ from typing import Concatenate, ParamSpec, TypeVar, cast
 import numpy as np
 import pinocchio as pin
 from scipy.linalg import null_space
+from scipy.sparse import csc_array
 
-from semiparam_ros.core.compiled import Integers, Matrix, Part, compiled
+from semiparam_ros.core.compiled import Integers, Matrix, Part, Vector, compiled
 from semiparam_ros.core.robot import urdf as urdf_tree
 from semiparam_ros.core.robot.arm_motion import FEW, effort_regressors
 from semiparam_ros.core.robot.joint_units import sliding
@@ -299,18 +300,21 @@ class RigidBody:
         return np.asarray(self.basis.T @ self.inertial_parameters)
 
     def _reduce_by(self, from_base: Array) -> None:
-        self._from_base, self._to_outputs = from_base, self.sign * from_base
+        self._from_base = from_base
         # Few: a base parameter combines those of a body or two.
-        rows, columns = from_base.nonzero()
-        self._entries = rows.copy(), columns.copy()
+        by_columns = csc_array(self.sign * from_base)
+        self._to_outputs = (by_columns.data, by_columns.indices.astype(np.int64), by_columns.indptr.astype(np.int64))
 
     def regressor(self, position: Array, velocity: Array, acceleration: Array, out: Array | None = None) -> Array:
         """(n, p) matrix psi with outputs = psi @ base_parameters; in the first columns of ``out`` where it is given."""
         full = self.rows(self.arm_vector(position), self.arm_vector(velocity), self.arm_vector(acceleration))
         psi = np.empty((self.n_outputs, self.n_parameters)) if out is None else out
-        rows, columns = self._entries
-        _reduce(full, self._to_outputs, rows, columns, psi)
+        _reduce(full, *self._to_outputs, psi)
         return psi
+
+    def outputs_at(self, position: Array, velocity: Array, acceleration: Array, parameters: Array) -> Array:
+        """(n,) ``regressor(...) @ parameters`` of one state for base parameters (p,)."""
+        return self.full_regressor(position, velocity, acceleration) @ (self._from_base @ parameters)
 
     def regressors(self, samples: Samples) -> Array:
         """(N, n, p) one regressor for each sample, to read alone: the latest two are remembered."""
@@ -455,13 +459,15 @@ def _canonical(basis: Array) -> Array:
 
 
 @compiled
-def _reduce(full: Part, to_outputs: Matrix, rows: Integers, columns: Integers, psi: Matrix) -> None:
-    """full @ to_outputs by the entries of to_outputs that are not zero, into the first columns of psi."""
-    for k in range(len(full)):
-        psi[k, :to_outputs.shape[1]] = 0.0
-        for entry in range(len(rows)):
-            i, j = rows[entry], columns[entry]
-            psi[k, j] += full[k, i] * to_outputs[i, j]
+def _reduce(full: Part, entries: Vector, rows: Integers, starts: Integers, psi: Matrix) -> None:
+    """Product of full and a sparse matrix, into the first columns of psi; the matrix by its entries, their rows, and
+    where each of its columns starts among them."""
+    for j in range(len(starts) - 1):
+        psi[:, j] = 0.0
+        for entry in range(starts[j], starts[j + 1]):
+            row, value = rows[entry], entries[entry]
+            for k in range(len(full)):
+                psi[k, j] += full[k, row] * value
 
 
 @lru_cache(maxsize=8)

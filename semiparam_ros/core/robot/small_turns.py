@@ -36,10 +36,10 @@ class SmallTurns:
 
     def one(self, position: Array, velocity: Array, acceleration: Array, theta: Array) -> Array:
         """(n, 2 + n_joints) those of the base and of every zero, of one state (n_joints,)."""
-        level = self._body.regressor(position, velocity, acceleration) @ theta
+        level = self._body.outputs_at(position, velocity, acceleration, theta)
         moved = [(tilted, position) for tilted in self._tilted]
         moved += [(self._body, position + turn) for turn in TURN_RAD * np.eye(len(position))]
-        turned = [body.regressor(at, velocity, acceleration) @ theta for body, at in moved]
+        turned = [body.outputs_at(at, velocity, acceleration, theta) for body, at in moved]
         return np.asarray((np.array(turned) - level).T / TURN_RAD)
 
     def of_base(self, samples: Samples, theta: Array) -> Array:
