@@ -2,7 +2,8 @@
 
 ROBOTS is the folder ``robots`` of example-robot-data. Viscous and dry friction and an offset of every joint are
 declared on two simulated arms, in several forms, which take turns. Medians of a sample (predicted, then learnt) and of
-a desired state, one thread.
+a desired state, and the mean of all that is done with a sample in the node, where the contact gate and the search for
+changes come beside; one thread.
 """
 
 from __future__ import annotations
@@ -63,20 +64,31 @@ def begun(pair: Pair, variant: str, effects: tuple[str, ...]) -> OfflineLearner:
     return learner
 
 
+def whole(learner: OfflineLearner, samples: Samples) -> float:
+    """Mean [us] of all that is done with a sample: what ends a block of motion comes once in many."""
+    start = time.perf_counter()
+    for sample in samples:
+        learner.step(sample, True)
+    return 1e6 * (time.perf_counter() - start) / len(samples)
+
+
 def costs(pair: Pair, variant: str) -> Iterator[dict[str, Any]]:
-    """Runs: [us] of a sample and of a desired state, a figure each round; the forms take turns in every round."""
+    """Runs: [us] of a sample and of a desired state, and of a sample in the node, a figure each round; the forms take
+    turns in every round."""
     forms = {name: declared(pair.settings.joints, dry) for name, dry in DRY.items()}
     models = {name: begun(pair, variant, effects).estimator for name, effects in forms.items()}
-    taken: dict[str, list[tuple[float, float]]] = {name: [] for name in forms}
+    learners = {name: begun(pair, variant, effects) for name, effects in forms.items()}
+    taken: dict[str, list[tuple[float, float, float]]] = {name: [] for name in forms}
     for start in range(LEARNT, LEARNT + ROUNDS * TIMED, TIMED):
         for name, model in models.items():
             rest = pair.first[start:start + TIMED]
             taken[name].append((timed(lambda sample, model=model: model.observe(model.predict(sample)), rest),
-                                timed(lambda sample, model=model: model.predict_desired(*sample[1:4]), rest)))
+                                timed(lambda sample, model=model: model.predict_desired(*sample[1:4]), rest),
+                                whole(learners[name], rest)))
     for name, effects in forms.items():
-        sample, desired = zip(*taken[name], strict=True)
+        sample, desired, learner = zip(*taken[name], strict=True)
         yield {'arm': pair.name, 'variant': variant, 'declared': name, 'effects': len(effects),
-               'sample_us': sample, 'desired_us': desired}
+               'sample_us': sample, 'desired_us': desired, 'learner_us': learner}
 
 
 def main() -> int:
@@ -85,15 +97,15 @@ def main() -> int:
     parser.add_argument('--json', type=Path, metavar='FILE')
     args = parser.parse_args()
     runs: list[dict[str, Any]] = []
-    print('| arm | variant | declared | effects | sample [us] | desired state [us] |')
+    print('| arm | variant | declared | effects | sample [us] | desired state [us] | in the node [us] |')
     chosen = (pair for pair in pairs(None, args.robots) if pair.name in ARMS)
     for pair in islice(chosen, len(ARMS)):
         for variant in ('SPK-ML', 'P'):
             for run in costs(pair, variant):
                 runs.append(run)
-                sample, desired = (np.median(run[name]) for name in ('sample_us', 'desired_us'))
+                sample, desired, learner = (np.median(run[name]) for name in ('sample_us', 'desired_us', 'learner_us'))
                 print(f'| {run["arm"]} | {variant} | {run["declared"]} | {run["effects"]} '
-                      f'| {sample:.0f} | {desired:.0f} |', flush=True)
+                      f'| {sample:.0f} | {desired:.0f} | {learner:.0f} |', flush=True)
     if args.json:
         document = json.dumps({'command': 'cost_of_effects', 'runs': runs}, indent=1)
         args.json.write_text(document + '\n', encoding='utf-8')

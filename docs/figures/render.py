@@ -108,10 +108,12 @@ def effects_cost(found: Document) -> Table:
         for arm in arms:
             run, none = cells[name, arm], cells['none', arm]
             ratio = median(one / other for one, other in zip(run['sample_us'], none['sample_us'], strict=True))
-            row += [_median_and_range(run['sample_us']), f'{ratio:.2f}', _median_and_range(run['desired_us'])]
+            row += [_median_and_range(run['sample_us']), f'{ratio:.2f}', _median_and_range(run['desired_us']),
+                    _median_and_range(run['learner_us'])]
         rows.append(row)
     return Table(('Declared', *(f'{arm.split(" (")[0]}: {what}' for arm in arms
-                                for what in ('sample [us]', 'over none', 'desired state [us]'))), rows)
+                                for what in ('sample [us]', 'over none', 'desired state [us]', 'in the node [us]'))),
+                 rows)
 
 
 def _median_and_range(values: Sequence[float]) -> str:

@@ -97,9 +97,12 @@ def predictions(features: Array, targets: Array, config: DiagnosisConfig = DEFAU
     labels = fold_labels(len(targets), config.structure_blocks, config.structure_folds)
     if counted is None or counted.all():
         return _predicted(features, targets, labels, config)
-    found, (masks, group) = np.zeros_like(targets), np.unique(counted, axis=1, return_inverse=True)
-    for number, mask in enumerate(masks.T):  # channels of which the same samples count
-        each = np.ix_(np.flatnonzero(mask), np.flatnonzero(group.ravel() == number))
+    found, alike = np.zeros_like(targets), dict[bytes, list[int]]()
+    for channel, mask in enumerate(counted.T):
+        alike.setdefault(mask.tobytes(), []).append(channel)
+    for channels in alike.values():  # of which the same samples count
+        mask = counted[:, channels[0]]
+        each = np.ix_(np.flatnonzero(mask), np.array(channels))
         found[each] = _predicted(features[mask], targets[each], labels[mask], config)
     return found
 
