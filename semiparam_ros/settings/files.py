@@ -25,11 +25,11 @@ LAUNCHED = 'launch_params_'
 NO_REMARKS: Mapping[str, Sequence[Sequence[str]]] = {}
 
 
-class _Loader(yaml.SafeLoader):
+class Loader(yaml.SafeLoader):
     """PyYAML takes 1e-7 for a text, ROS for a number; so do we."""
 
 
-_Loader.add_implicit_resolver('tag:yaml.org,2002:float', re.compile(r'^[-+]?\d+[eE][-+]?\d+$'), list('-+0123456789'))
+Loader.add_implicit_resolver('tag:yaml.org,2002:float', re.compile(r'^[-+]?\d+[eE][-+]?\d+$'), list('-+0123456789'))
 
 
 def load_params(path: str | Path | None, node: str = 'estimator') -> Settings:
@@ -80,7 +80,7 @@ def read_params(path: str | Path, node: str = 'estimator') -> dict[str, object]:
     """Read unchecked names (dotted) and values of one node's sections."""
     document = _parse(Path(path))
     values: dict[str, object] = {}
-    sections = {name: body for name, body in document.items() if _fits(name, node)}
+    sections = {name: body for name, body in document.items() if fits(name, node)}
     if not sections:
         found = ', '.join(document) or 'nothing'
         raise SemiparamError(f"{path}: ROS gives no section to the node {node} (found: {found}); "
@@ -159,7 +159,7 @@ def _scalar(value: object) -> str:
 
 
 def _parse(path: Path) -> Mapping[str, object]:
-    document = read_yaml(path, 'the parameter file', _Loader)
+    document = read_yaml(path, 'the parameter file', Loader)
     if not isinstance(document, dict):
         raise SemiparamError(f'{path} holds no parameters; expected a ROS parameter file that starts with estimator:.')
     return dict(_sections(document, ''))
@@ -175,7 +175,7 @@ def _sections(tree: Mapping[str, object], prefix: str) -> Iterator[tuple[str, ob
         yield from named or [(f'{prefix}{name}', body)]
 
 
-def _fits(section: str, node: str) -> bool:
+def fits(section: str, node: str) -> bool:
     """Return whether ROS hands a section to a node, of a bare name to one in some namespace: a star is one name,
     two are any number of them."""
     stars = {'*': '/[^/]+', '**': '(/[^/]+)*'}

@@ -17,6 +17,7 @@ from semiparam_ros.ros.estimator.process import parameter_files
 from semiparam_ros.settings import PARAMETERS, Settings, dump_params, load_params
 from semiparam_ros.settings.build import build_estimator, given_hyperparameters, hyperparameter_values
 from semiparam_ros.settings.files import located, params_text, read_params
+from semiparam_ros.settings.last_word import last_words
 from semiparam_ros.settings.parameter_table import Parameter
 from semiparam_ros.settings.rules import RULES, broken_rule
 from semiparam_ros.settings.snapshot import refusal
@@ -272,6 +273,20 @@ def test_a_description_beside_the_parameter_file_is_found_there(tmp_path, monkey
         assert load_params(path).robot_description_file == name
     assert parameter_files(['--ros-args', '--params-file', '/a/p.yaml', '-r', 'x:=y', '--params-file', 'q.yaml']) == [
         Path('q.yaml'), Path('/a/p.yaml')]
+
+
+def test_of_a_parameter_given_twice_the_last_value_counts_whatever_their_types(tmp_path):
+    """rcl keeps an integer beside a decimal number or a text, and hands over the integer: the command line was not
+    heard."""
+    path = write(tmp_path / 'p.yaml', '/**: {ros__parameters: {acceleration.cutoff: 10, features.count: 100, '
+                                      'gate.hold: 1.0, variant: P, effects: [], other: 1}}')
+    second = write(tmp_path / 'q.yaml', '/**/estimator: {ros__parameters: {gate.hold: 2}}')
+    arguments = ['--ros-args', '--params-file', str(path), '--', '--ros-args', '-p', 'acceleration.cutoff:=20.0',
+                 '--param', 'estimator:features.count:=auto', '-p', 'stranger:variant:=SPK-ML', '-p', 'other:=a',
+                 '--params-file', str(second), '-p', 'horizon.length:=7', '-p', 'initial.samples:={', '-r', 'x:=y',
+                 '--params-file', str(tmp_path / 'none.yaml')]
+    assert last_words(arguments, '/estimator') == {'acceleration.cutoff': 20.0, 'features.count': 'auto',
+                                                        'gate.hold': 2}
 
 
 def test_a_file_written_elsewhere_names_the_same_places(tmp_path, monkeypatch):

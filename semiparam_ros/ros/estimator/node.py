@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -55,6 +55,7 @@ class EstimatorNode(AnsweringNode, LearnerListener):
 
     :param schedule: see :data:`Scheduler`.
     :param files: the parameter files, see :func:`located`. :param worker: the process beside it; begun if left out.
+    :param last_words: of a full name of a node, see :func:`~semiparam_ros.settings.last_word.last_words`.
     Raises SemiparamError when the parameters do not describe an estimator.
     """
 
@@ -62,20 +63,22 @@ class EstimatorNode(AnsweringNode, LearnerListener):
     _diagnosing: Diagnosing
     _changing: Changing
 
-    def __init__(self, schedule: Scheduler, files: Sequence[Path] = (), worker: Worker | None = None) -> None:
+    def __init__(self, schedule: Scheduler, files: Sequence[Path] = (), worker: Worker | None = None,
+                 last_words: Callable[[str], Mapping[str, object]] = lambda _: {}) -> None:
         super().__init__(NAME)
         with destroyed_on_failure(self):
-            self._build(schedule, files, worker)
+            overrides = {name: value.value for name, value in self._parameter_overrides.items()}
+            self._build(schedule, files, worker, {**overrides, **last_words(self.get_fully_qualified_name())})
 
-    def _build(self, schedule: Scheduler, files: Sequence[Path], worker: Worker | None) -> None:
+    def _build(self, schedule: Scheduler, files: Sequence[Path], worker: Worker | None,
+               overrides: dict[str, object]) -> None:
         self.learner: Learner | None = None
         self._schedule = schedule
         self._awaited = ''
         """What was last said of a change of the model."""
         self.errors = InternalErrors(self.get_logger().error, self._complain)
         self._rejections = Rejections()
-        self._live = Parameters(self, {name: value.value for name, value in self._parameter_overrides.items()},
-                                      self._accept, self._change)
+        self._live = Parameters(self, overrides, self._accept, self._change)
         settings = located(self._live.settings, files)
         self._outputs = Outputs(self, settings.outputs)
         self._outside = Outside(self, settings.outputs, self._the_learner, lambda: self._outputs.frame_id)

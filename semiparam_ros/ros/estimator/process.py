@@ -7,6 +7,7 @@ import os
 import sys
 from collections.abc import Sequence
 from contextlib import suppress
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 
@@ -19,6 +20,7 @@ from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online.worker import Scheduler, Worker, forked_worker
 from semiparam_ros.ros.context import SPIN_S, StopSignals, rcl_reason, spin_for, start_rclpy
 from semiparam_ros.ros.estimator.node import EstimatorNode
+from semiparam_ros.settings.last_word import last_words
 
 SWITCH_S = 2e-4
 """How long a thread keeps the interpreter's lock while the one that answers samples waits for it."""
@@ -57,7 +59,7 @@ def _run(ros_arguments: Sequence[str], stop: StopSignals, worker: Worker) -> int
     try:
         # This executor takes a third of what rclpy's others take.
         executor = EventsExecutor()
-        node = _new_node(executor.create_task, parameter_files(ros_arguments), worker)
+        node = _new_node(executor.create_task, ros_arguments, worker)
         try:
             executor.add_node(node)
             refused = take_priority(node.settings.realtime_priority)
@@ -87,9 +89,9 @@ def parameter_files(ros_arguments: Sequence[str]) -> list[Path]:
     return [Path(path) for path in reversed(named)]
 
 
-def _new_node(schedule: Scheduler, files: Sequence[Path], worker: Worker) -> EstimatorNode:
+def _new_node(schedule: Scheduler, ros_arguments: Sequence[str], worker: Worker) -> EstimatorNode:
     try:
-        return EstimatorNode(schedule, files, worker)
+        return EstimatorNode(schedule, parameter_files(ros_arguments), worker, partial(last_words, ros_arguments))
     except RCLError as error:  # such as a security enclave that the middleware refuses
         raise SemiparamError(f'the node cannot start: {rcl_reason(error)}') from None
 
