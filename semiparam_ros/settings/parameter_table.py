@@ -21,7 +21,7 @@ KINDS = {'bool': 'bool', 'int': 'integer', 'int | str': 'integer', 'float': 'dou
 EXPECTED = {'bool': 'true or false', 'integer': 'an integer', 'double': 'a number', 'string': 'a text',
             'string_array': 'a list of texts', 'double_array': 'a list of numbers'}
 
-AUTO = 'auto'
+AUTO, OFF = 'auto', 'off'
 OUTPUTS = (AUTO, 'wrench', 'effort')
 
 
@@ -64,7 +64,10 @@ class Parameter:
         return '' if self.maximum is None else f'at most {_number(self.maximum)}'
 
     def convert(self, value: object) -> object:
-        """Meet the spellings of YAML and of ROS: 1 for 1.0, and empty or unset lists; anything else unchanged."""
+        """Meet the spellings of YAML and of ROS: 1 for 1.0, false for off, and empty or unset lists; anything else
+        unchanged."""
+        if value is False and OFF in self.choices:
+            return OFF  # which YAML reads as false
         if self.kind == 'double' and _is_integer(value):
             return _as_float(value)
         if self.kind.endswith('_array'):

@@ -289,6 +289,14 @@ def test_of_a_parameter_given_twice_the_last_value_counts_whatever_their_types(t
                                                         'gate.hold': 2}
 
 
+def test_off_is_what_yaml_reads_of_it(tmp_path):
+    """YAML's ``off`` is false, which was refused with the sentence that it should be off."""
+    path = write(tmp_path / 'p.yaml', '/**: {ros__parameters: {diagnosis.auto: off}}')
+    assert load_params(path).diagnosis_auto == 'off'
+    with pytest.raises(SemiparamError, match='variant is false'):
+        Settings().changed({'variant': False})
+
+
 def test_a_file_written_elsewhere_names_the_same_places(tmp_path, monkeypatch):
     """``fit -o`` into another folder moved the states with it, and lost the robot description."""
     (tmp_path / 'own').mkdir()
