@@ -146,7 +146,10 @@ def _converted(name: str, value: Any, where: str) -> Any:
         return value
     if name == 'period' and value is not None:
         return _positive(name, value, where)
-    return _number(name, value, where)
+    number = _number(name, value, where)
+    if name in ('wrench_sign', 'effort_sign') and abs(number) != 1.0:
+        raise SemiparamError(f'{where}: {name} is {value!r}; expected 1 or -1.')
+    return number
 
 
 def _names(what: str, value: object, where: str) -> tuple[str, ...]:
@@ -170,7 +173,11 @@ def effort_factors(value: object, where: str) -> dict[str, float]:
     if not all(len(pair) == 2 for pair in pairs):
         raise SemiparamError(f'{where}: effort_factors is {value!r}; expected NAME=FACTOR,... such as '
                              'shoulder=11.4,elbow=-9.8.')
-    return {str(name).strip(): _number(f'the effort factor of {name}', factor, where) for name, factor in pairs}
+    factors = {str(name).strip(): _number(f'the effort factor of {name}', factor, where) for name, factor in pairs}
+    for name, factor in factors.items():
+        if not factor:
+            raise SemiparamError(f'{where}: the effort factor of {name} is 0, which leaves nothing of it.')
+    return factors
 
 
 def _number(name: str, value: Any, where: str) -> float:

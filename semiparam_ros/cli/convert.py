@@ -87,8 +87,10 @@ def run(args: argparse.Namespace) -> int:
     """Convert, and say on standard error what came out."""
     require_bag_name(args.output)
     for sign in ('effort_sign', 'wrench_sign'):
-        if not math.isfinite(getattr(args, sign) or 0.0):
-            raise SemiparamError(f'--{sign.replace("_", "-")} is {getattr(args, sign)}; expected a finite number.')
+        value = 1.0 if getattr(args, sign) is None else getattr(args, sign)
+        if abs(value) != 1.0:
+            expected = '1 or -1' if math.isfinite(value) else 'a finite number, 1 or -1'
+            raise SemiparamError(f'--{sign.replace("_", "-")} is {value:g}; expected {expected}.')
     require_places(args.output, partial_path(args.output),
                    inputs=[args.input, args.columns, args.robot_description])
     description = read_description(args.robot_description) if args.robot_description else None

@@ -425,6 +425,8 @@ def test_a_bad_table_ends_in_one_sentence_and_leaves_no_file(case, tmp_path, cap
     ('degrees: maybe\n', "degrees is 'maybe'; expected true or false"),
     ('columns: {positon: 1}\njoints: [a]\n', "column role 'positon' is unknown"),
     ('wrench_sign: .nan\n', 'wrench_sign is nan; expected a finite number'),
+    ('wrench_sign: 0\n', 'wrench_sign is 0; expected 1 or -1'),
+    ('effort_factors: {a: 0}\n', 'the effort factor of a is 0'),
     ('joints: 7\n', 'joints is 7; expected distinct names'),
     ('joints: [a, a]\n', "joints is ['a', 'a']; expected distinct names"),
     ('temperatures: {a: 1}\n', "temperatures is {'a': 1}; expected distinct names"),
