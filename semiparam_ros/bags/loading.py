@@ -207,14 +207,22 @@ def _read(bag: BagReader, stream: SampleStream, needed: Collection[str], start: 
 def _nothing_matched(bag: BagReader, stream: SampleStream, needed: Iterable[str],
                      joints_given: bool) -> str:
     counts = ', '.join(f'{bag.topics[topic].count} on {topic}' for topic in needed)
-    lost = ', '.join(f'{bag.losses.undecodable[topic]} on {topic}' for topic in needed
-                     if topic in bag.losses.undecodable)
-    waiting = f'{lost} do not decode.' if lost else \
-        f'{stream.pending} outputs have no joint state at or after their stamps.'
-    reason = stream.last_fault or stream.last_ignored or waiting
+    reason = stream.last_fault or stream.last_ignored or _silence(bag, stream.pending, needed)
     renamed = (stream.faults['missing_joint'] or stream.ignored) and not stream.apart
     remedy = ' semiparam convert --joint NAME=NEW renames joints.' if renamed else ''
     if renamed and not joints_given:  # those of the description count, all of them
         remedy = ' The parameter joints is not given, so every moving joint of the robot description is expected; ' \
                  'name in it those that the recording has.'
     return f'{str(bag.path)!r} holds no complete sample ({counts} messages): {reason}{remedy}'
+
+
+def _silence(bag: BagReader, pending: int, needed: Iterable[str]) -> str:
+    """Why nothing came together although no message was refused."""
+    losses = bag.losses
+    lost = ', '.join(f'{losses.undecodable[topic]} on {topic}' for topic in needed if topic in losses.undecodable)
+    if lost:
+        return f'{lost} do not decode.'
+    empty = [topic for topic in needed if not bag.topics[topic].count]
+    if empty:
+        return f'there are none on {", ".join(empty)}.'
+    return losses.sentence or f'{pending} outputs have no joint state at or after their stamps.'

@@ -9,6 +9,7 @@ from mcap_ros2._dynamic import serialize_dynamic
 from semiparam_ros.bags import schemas
 from semiparam_ros.bags.loading import load_samples
 from semiparam_ros.bags.reader import open_bag
+from semiparam_ros.bags.writer import BagWriter
 from semiparam_ros.cli.main import main
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.settings import Settings
@@ -180,3 +181,23 @@ def test_convert_leaves_out_a_type_that_nothing_defines(tmp_path, capsys):
         assert list(bag.topics) == [STATES] and bag.message_count == 1
     assert main(['convert', str(path), str(out), '--topic', '/franka']) == 2
     assert 'topic /franka holds franka_msgs/msg/FrankaState' in capsys.readouterr().err
+
+
+def test_a_recording_without_samples_says_what_is_missing_in_it(tmp_path):
+    """Of a bag whose every chunk is damaged, or whose topic is empty, it said that 0 outputs have no joint state."""
+    path = tmp_path / 'a.mcap'
+    write_bag(path, motion(40))
+    data = bytearray(path.read_bytes())
+    with open_bag(path) as bag:
+        for segment in bag._index.segments:
+            data[(segment.offset + segment.end) // 2] ^= 0xff
+    (tmp_path / 'damaged.mcap').write_bytes(data)
+    with pytest.raises(SemiparamError, match=r'no complete sample .*\): .* is damaged: .* 0 of \d+ messages read'):
+        load_samples(tmp_path / 'damaged.mcap', SETTINGS)
+    with open_bag(path) as bag, BagWriter(tmp_path / 'empty.mcap') as empty:
+        for topic, info in bag.topics.items():
+            empty.add_topic(topic, info.type, info.qos, info.schema)
+        for message in bag.messages([STATES, '/joint_accelerations'], decode=False):
+            empty.write_raw(message.topic, message.raw, message.log_time, message.publish_time)
+    with pytest.raises(SemiparamError, match=r'0 on /wrench, .* messages\): there are none on /wrench\.$'):
+        load_samples(tmp_path / 'empty.mcap', SETTINGS)
