@@ -497,7 +497,7 @@ class Learner:
 
     def restore(self, saved: SavedState) -> None:
         """Go on with a state that was saved."""
-        self.settings = saved.settings
+        self.settings = saved.asked or saved.settings
         self.tare, self.tools = Tare(self.body.n_outputs, saved.bias), Tools(self.body, saved.settings.tools)
         self._begin(saved.settings, saved.estimator, saved.batch, saved.renewal)
         self.gate.restore(saved.gate)
@@ -510,15 +510,16 @@ class Learner:
 
     def state(self) -> SavedState:
         """State that :meth:`restore` takes back."""
+        asked = None if same_model(self.settings, self.built) else self.settings
         return SavedState(self.built, self.estimator, self.history.batch(), self.tare.bias, self.gate.state(),
-                          self._renewal.state(), self.changes.applied.state(), self.tools.texts, self._anew)
+                          self._renewal.state(), self.changes.applied.state(), self.tools.texts, self._anew, asked)
 
     def _fall_back(self, error: Exception) -> None:
         """The active model is broken: go on with the last checkpoint, else with P and no effects; where hyperparameters
         were given that P does not suffice with, without effects alone."""
         broken, saved = self.built.variant, self._newest_checkpoint()
         if saved is not None:
-            self.restore(saved)
+            self.restore(saved._replace(asked=None))  # it may be the one that broke
             instead = f'{self.built.variant} of the last checkpoint goes on'
         else:
             plain = replace(self.settings, effects=(), shadow_variants=())

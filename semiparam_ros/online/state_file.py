@@ -92,6 +92,8 @@ class SavedState(NamedTuple):
     """Those that the arm carried then; what it carries now the parameter says."""
     anew: bool = False
     """Whether something else is taken off since the last sample that was news."""
+    asked: Settings | None = None
+    """Those of a model that was asked for and was not there yet: it is built anew from the samples kept."""
 
     @property
     def sentence(self) -> str:
@@ -103,7 +105,14 @@ class SavedState(NamedTuple):
         now = listed(self.settings.tools, 3)
         tools = '' if self.tools == self.settings.tools else (
             f'. It was saved with the tools {listed(self.tools, 3)}; the parameter tools says {now}, which holds')
-        return f'{self.settings.variant} with {len(self.batch)} samples{expected}{tools}'
+        asked = '' if self.asked is None else f'; the {self.asked.variant} that was being built is built anew'
+        return f'{self.settings.variant} with {len(self.batch)} samples{asked}{expected}{tools}'
+
+    def adopted_by(self, settings: Settings) -> SavedState:
+        """With what it brings along put into settings that changed while it was read."""
+        asked = None if self.asked is None else _adopted(settings, self.asked)
+        return self._replace(settings=_adopted(settings, self.settings), asked=asked)
+
 
 
 class Snapshot(NamedTuple):
@@ -198,6 +207,8 @@ def snapshot(state: SavedState) -> Snapshot:
             'renewal': _as_json(state.renewal, renewal), 'applied': _as_json(state.applied, applied)}
     if state.anew:
         meta['anew'] = True
+    if state.asked is not None:
+        meta['asked'] = {name: value for name, value in _as_saved(state.asked).items() if name in ADOPTED}
     if others:
         meta['others'] = [{'hyperparameters': asdict(other.hyperparameters), 'window_left': other.window_left,
                            'passed_over': other.passed_over} for other in others]
@@ -291,9 +302,8 @@ def load(path: Path, settings: Settings, body: RigidBody) -> SavedState:
         difference = theirs.difference(Configuration(VERSION, body.joints, _as_saved(settings), probe(body)))
         if difference:
             raise SemiparamError(f'{path} {difference}')
-        ours, settings = settings, settings.changed({name: meta['settings'][name] for name in ADOPTED}, str(path))
-        if (sentence := broken_rule(settings)) is not None and broken_rule(ours) is None:  # no more could change
-            raise SemiparamError(f'{path} does not fit the parameters of this node: {sentence}')
+        asked = _fitting(path, settings, meta['asked']) if 'asked' in meta else None
+        settings = _fitting(path, settings, meta['settings'])
         _require_finite(str(path), arrays)
         batch = batch_from(_group(arrays, 'history'), body.n_joints, body.n_outputs)
         bias = arrays['bias']
@@ -309,7 +319,7 @@ def load(path: Path, settings: Settings, body: RigidBody) -> SavedState:
         applied = AppliedEffects(body)
         applied.restore(_from_json(meta['applied'], _group(arrays, 'applied')))
         saved = SavedState(settings, _estimator(settings, body, arrays, meta), batch, bias, gate.state(),
-                           renewal.state(), applied.state(), tuple(map(str, meta['tools'])), 'anew' in meta)
+                           renewal.state(), applied.state(), tuple(map(str, meta['tools'])), 'anew' in meta, asked)
         _check_nothing_else(arrays, meta, saved)
         _try(saved, gate)
         return saved
@@ -319,8 +329,7 @@ def load(path: Path, settings: Settings, body: RigidBody) -> SavedState:
         raise SemiparamError(f'{path} is damaged ({error}); expected a file that save_state wrote.') from error
 
 
-def adopted(settings: Settings, saved: Settings) -> Settings:
-    """Settings with what a saved state brings along; for those that changed while it was read."""
+def _adopted(settings: Settings, saved: Settings) -> Settings:
     brought = saved.mapping()
     return settings.changed({name: brought[name] for name in ADOPTED})
 
@@ -331,6 +340,14 @@ def probe(body: RigidBody) -> Array:
     rng = np.random.default_rng(1)
     regressors = [body.regressor(*rng.uniform(-1.0, 1.0, (3, body.n_joints))) for _ in range(3)]
     return np.vstack([body.base_parameters[None], *regressors])
+
+
+def _fitting(path: Path, ours: Settings, brought: Mapping[str, Any]) -> Settings:
+    """Settings with those that a file brings along; raises SemiparamError where both together break a rule."""
+    settings = ours.changed({name: brought[name] for name in ADOPTED}, str(path))
+    if (sentence := broken_rule(settings)) is not None and broken_rule(ours) is None:  # no more could change
+        raise SemiparamError(f'{path} does not fit the parameters of this node: {sentence}')
+    return settings
 
 
 def _as_saved(settings: Settings) -> dict[str, Any]:

@@ -141,6 +141,39 @@ def test_a_state_saved_while_hyperparameters_are_estimated_goes_on(tmp_path):
     np.testing.assert_allclose(again.means[10:], offline(samples)[1][110:], atol=1e-8)
 
 
+def test_a_state_saved_while_another_model_is_built_has_that_built_anew(tmp_path):
+    """What was asked for, such as the effects of a diagnosis, was forgotten without a word: the state took it back."""
+    samples, stage = motion(260), Stage()
+    stage.offer_and_build(samples[:120])
+    asked = replace(SETTINGS, variant='P', effects=('sensor_drift',))
+    assert 'is being built' in stage.learner.change(asked)
+    state_file.save(tmp_path / 's.npz', stage.learner.state())
+    saved = state_file.load(tmp_path / 's.npz', replace(SETTINGS, horizon_length=9), BODY)
+    assert saved.sentence == 'SPK-ML with 120 samples; the P that was being built is built anew'
+    assert saved.adopted_by(replace(SETTINGS, gate_timeout=7.0)).asked == replace(asked, gate_timeout=7.0)
+    again = Stage()
+    again.learner.restore(saved)
+    assert (again.learner.settings, again.learner.built) == (asked, SETTINGS)
+    for each in (stage, again):
+        each.offer_and_build(samples[120:180])
+        each.offer(samples[180:])
+        assert each.learner.built == asked
+    np.testing.assert_array_equal(again.means, stage.means[120:])
+    assert stage.learner.state().asked is None and 'built anew' not in stage.learner.state().sentence
+
+
+def test_a_model_that_broke_is_not_asked_for_by_the_checkpoint_that_takes_its_place():
+    samples, states = motion(200), []
+    stage = Stage(checkpoint=lambda: states[-1])
+    stage.offer_and_build(samples[:120])
+    stage.learner.change(replace(SETTINGS, variant='P'))
+    states.append(pickle.loads(pickle.dumps(stage.learner.state())))
+    stage.offer_and_build(samples[120:140])
+    stage.learner._fall_back(ValueError('broken'))
+    assert stage.learner.settings.variant == stage.learner.built.variant == 'SPK-ML'
+    assert stage.reverted[-1].variant == 'SPK-ML'
+
+
 def test_a_robot_at_rest_is_answered_and_not_learnt():
     """An hour of it changes nothing, with and without forgetting; and the window goes on where it was."""
     rest = [sample._replace(position=motion(1)[0].position) for sample in motion(500)]

@@ -142,7 +142,7 @@ class EstimatorNode(AnsweringNode, LearnerListener):
         saved = self._autosave.resume(self._live.settings, body)
         if saved is not None:
             self.learner.restore(saved)
-            self._live.write(saved.settings)
+            self._live.write(self.learner.settings)
         self._inputs.open(body.joints)
 
     def _newest_checkpoint(self) -> SavedState | None:

@@ -191,9 +191,9 @@ class Services:
             if self._closed:  # its last checkpoint is written
                 raise SemiparamError(ENDS)
             current = self._learner()
-            saved = saved._replace(settings=state_file.adopted(self._parameters.settings, saved.settings))
+            saved = saved.adopted_by(self._parameters.settings)
             current.restore(saved)
-            self._parameters.write(saved.settings)
+            self._parameters.write(current.settings)
             return f'{path} is loaded: {saved.sentence}.'
 
         self._aside('~/load_state', partial(state_file.load, path, settings, learner.body), loaded, reply)
