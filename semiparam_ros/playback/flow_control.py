@@ -10,7 +10,7 @@ from __future__ import annotations
 import threading
 import time
 from collections import OrderedDict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 
 from semiparam_ros.playback.player import Item, MonotonicClock
 
@@ -18,6 +18,8 @@ WIDEN_S = 2.0
 # What waits in the follower is not without bound either.
 WIDEN_AT_MOST = 128
 LOOK_S = 1.0
+UNMATCHED_S = 10.0
+"""Patience at the end with requests that no played message of another topic reaches."""
 
 
 class FollowerSilent(Exception):
@@ -37,10 +39,12 @@ class FlowControl:
         may rightly think for some seconds when it estimates hyperparameters
     :param stamp_of: header stamp [ns] of a serialised request
     :param is_gone: whether the follower has left
+    :param beside: stamped topics that it hears besides, whose messages it may need to answer a request
     """
 
     def __init__(self, request_topic: str, window: int, timeout_s: float, stamp_of: Callable[[bytes], int],
-                 is_gone: Callable[[], bool] = lambda: False, monotonic: MonotonicClock = time.monotonic_ns) -> None:
+                 is_gone: Callable[[], bool] = lambda: False, monotonic: MonotonicClock = time.monotonic_ns,
+                 beside: Collection[str] = ()) -> None:
         self.request_topic = request_topic
         self.window = window
         self.timeout_s = timeout_s
@@ -52,6 +56,9 @@ class FlowControl:
         self._waiting: OrderedDict[int, int] = OrderedDict()
         self._last_sign = self._asked = monotonic()
         self._next: Item | None = None
+        self._beside = beside
+        self._reached: dict[str, int] = {}
+        """Stamps of the last messages on those topics."""
         self.requests = self.answers = self.unexpected = 0
         self.unanswered_stamps: list[int] = []
 
@@ -87,26 +94,36 @@ class FlowControl:
     def drain_patience(self) -> float:
         """Seconds to wait until every request is settled, as :meth:`patience`, at the end."""
         with self._lock:
-            return self._remaining() if self._waiting else 0.0
+            return self._remaining(self._unmatched()) if self._waiting else 0.0
+
+    def _unmatched(self) -> list[str]:
+        """Topics that end before the last request, which what comes there may have to complete."""
+        last = next(reversed(self._waiting.values()))
+        return [topic for topic, stamp in self._reached.items() if stamp < last]
 
     def _silent(self) -> float:
         """Seconds since the last answer, or since there was something to answer."""
         return (self._monotonic() - self._last_sign) * 1e-9
 
-    def _remaining(self) -> float:
+    def _remaining(self, unmatched: Sequence[str] = ()) -> float:
         """Seconds until somebody should look again; raises FollowerSilent when there is nothing to hope for."""
+        timeout_s = min(self.timeout_s, UNMATCHED_S) if unmatched else self.timeout_s
         silent = self._silent()
         if self._is_gone():
             raise FollowerSilent(f'the follower has left while {len(self._waiting)} messages on {self.request_topic} '
                                  f'wait for it; it answered {self.answers} of {self.requests}.')
         waited = (self._monotonic() - max(self._last_sign, self._asked)) * 1e-9
-        if waited >= self.timeout_s:
+        if waited >= timeout_s:
+            ends = f' {" and ".join(unmatched)} ended before the last of them.' if unmatched else ''
             raise FollowerSilent(f'the follower has been silent for {silent:.1f} s while {len(self._waiting)} messages '
-                                 f'on {self.request_topic} wait for it; it answered {self.answers} of {self.requests}.')
-        return min(self.timeout_s - waited, LOOK_S)
+                                 f'on {self.request_topic} wait for it; it answered {self.answers} of {self.requests}.'
+                                 f'{ends}')
+        return min(timeout_s - waited, LOOK_S)
 
     def sent(self, item: Item) -> None:
         """Count a request that is about to be published."""
+        if item.topic in self._beside:
+            self._reached[item.topic] = self._stamp_of(item.raw)
         if item.topic != self.request_topic:
             return
         stamp = self._stamp_of(item.raw)

@@ -90,6 +90,27 @@ def test_a_pause_of_the_bag_is_no_silence_of_the_follower():
         flow.patience(request(3))
 
 
+def test_requests_after_the_end_of_what_completes_them_are_not_waited_for_long():
+    """The last wrenches of a recording have no joint state after them: a playback waited for a minute, and blamed the
+    follower alone."""
+    hands = Hands()
+    flow = FlowControl('/wrench', 3, 60.0, stamp_of, monotonic=hands, beside=['/joint_states', '/never'])
+    for item in (request(1, '/joint_states'), request(1), request(2, '/joint_states'), request(2)):
+        flow.sent(item)
+    hands.ns = 30 * 10**9
+    assert flow.drain_patience() == 1.0, 'all that it needs has been played'
+    flow.answered(1)
+    flow.sent(request(3, '/camera'))
+    flow.sent(request(3))
+    hands.ns = 39 * 10**9
+    assert flow.drain_patience() == pytest.approx(1.0)
+    hands.ns = 40 * 10**9
+    with pytest.raises(FollowerSilent, match=r'silent for 10\.0 s while 2 messages on /wrench wait for it; it answered '
+                                             r'1 of 3\. /joint_states ended before the last of them\.'):
+        flow.drain_patience()
+    assert flow.patience(request(4)) == 0.0
+
+
 def test_a_refused_request_is_settled_by_the_next_answer_and_told():
     flow, _ = flow_control()
     for stamp in (1, 2, 3):

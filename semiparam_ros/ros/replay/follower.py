@@ -50,7 +50,7 @@ class Follower:
                                  f'expected one of {", ".join(node.outputs)}.')
         stamped = begins_with_header(node.types[request]) and begins_with_header(info.topic_type)
         self.flow = FlowControl(request, options.window, options.timeout_s, read_stamp if stamped else lambda _: 0,
-                                self._is_gone)
+                                self._is_gone, beside=self._heard_beside(request) if stamped else ())
         self._read = read_stamp if stamped else lambda _: None
         self._subscription = call_in_executor(node, partial(
             node.create_subscription, message_class(info.topic_type), self.answer_topic, self._answer,
@@ -81,6 +81,12 @@ class Follower:
         # Who answers the playback answers this too, be it late: played before, its answers are lost, or its queue runs
         # over.
         return handshake(self._node, self.name, stopping, QUEUE_DEPTH, wait_s)
+
+    def _heard_beside(self, request: str) -> list[str]:
+        """Other played topics with stamps that the follower subscribes to."""
+        return [topic for topic, output in self._node.outputs.items()
+                if topic != request and begins_with_header(self._node.types[topic])
+                and self.name in map(owner, self._node.get_subscriptions_info_by_topic(output.topic_name))]
 
     def _is_gone(self) -> bool:
         return bool(self._subscription.get_publisher_count() == 0)
