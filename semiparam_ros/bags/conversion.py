@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import zip_longest
 from pathlib import Path
@@ -69,6 +69,15 @@ class Edits:
                 vector.x, vector.y, vector.z = (self.wrench_sign * value for value in (vector.x, vector.y, vector.z))
         return data
 
+    def check_types(self, path: str, types: Collection[str]) -> None:
+        """Raise SemiparamError where what is to change is on none of the topics that are taken, whose types these are.
+        """
+        wrenches = self.wrench_sign != 1.0 or bool(self.wrench_frame)
+        efforts = self.effort_sign != 1.0 and not self.effort_factors  # whose joints are looked for in the end
+        for wanted, type_name, what in ((wrenches, _WRENCH, 'wrenches'), (efforts, _JOINT_STATE, 'efforts')):
+            if wanted and type_name not in types:
+                raise SemiparamError(f'{path!r}: {what} are to change, but no topic that is taken holds {type_name}.')
+
     def check_joints(self, path: str, names: Sequence[str]) -> None:
         """Raise SemiparamError where a joint is to change that is not among those of the bag."""
         for old in self.joints:
@@ -118,14 +127,7 @@ def convert_bag(source: BagReader, edits: Edits, bag: BagWriter, robot_descripti
     if robot_description is not None:
         chosen = {old: new for old, new in chosen.items() if new != layout.ROBOT_DESCRIPTION}
         write_description(bag, robot_description, source.start_ns)
-    for old, new in chosen.items():
-        if old not in source.topics:
-            raise SemiparamError(f'{str(source.path)!r} has no topic {old}; it has {", ".join(source.topics)}.')
-        info = source.topics[old]
-        if obstacle(info):
-            raise SemiparamError(f'{str(source.path)!r}: topic {old} holds {info.type or "no known type"}, encoded as '
-                                 f'{info.encoding!r}; expected a type of ROS 2, as cdr, that the bag or ROS 2 defines.')
-        bag.add_topic(new, info.type, info.qos, info.schema)
+    _add_topics(source, edits, chosen, bag)
     copied, changed = ({topic for topic in chosen if edits.concern(source.topics[topic].type) is concern}
                        for concern in (False, True))
     counts = dict.fromkeys(chosen, 0)
@@ -144,8 +146,23 @@ def convert_bag(source: BagReader, edits: Edits, bag: BagWriter, robot_descripti
                       message.publish_time)
         if number % 1000 == 0:
             progress(number)
+    if chosen and not any(counts.values()) and source.losses and any(source.topics[old].count for old in chosen):
+        raise SemiparamError(source.losses.sentence)
     edits.check_joints(str(source.path), sorted(joints))
     return counts
+
+
+def _add_topics(source: BagReader, edits: Edits, chosen: Mapping[str, str], bag: BagWriter) -> None:
+    """The topics that are taken, by their new names; raises SemiparamError where one cannot be, or none is changed."""
+    for old, new in chosen.items():
+        if old not in source.topics:
+            raise SemiparamError(f'{str(source.path)!r} has no topic {old}; it has {", ".join(source.topics)}.')
+        info = source.topics[old]
+        if obstacle(info):
+            raise SemiparamError(f'{str(source.path)!r}: topic {old} holds {info.type or "no known type"}, encoded as '
+                                 f'{info.encoding!r}; expected a type of ROS 2, as cdr, that the bag or ROS 2 defines.')
+        bag.add_topic(new, info.type, info.qos, info.schema)
+    edits.check_types(str(source.path), {source.topics[topic].type for topic in chosen})
 
 
 def _edited(source: BagReader, edits: Edits, message: Message, joints: set[str]) -> object:

@@ -15,6 +15,7 @@ from semiparam_ros.bags.writer import BagWriter
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.settings.snapshot import Settings
 from support.commands import refusal, semiparam
+from support.node_helpers import motion, write_bag
 
 ICUB_JOINTS = ('r_shoulder_pitch', 'r_shoulder_roll', 'r_shoulder_yaw', 'r_elbow')
 TWO_JOINTS = ('--joints', 'hip,knee', '--position', '1-2', '--velocity', '3-4', '--rate', '100')
@@ -109,6 +110,31 @@ def test_efforts_of_more_joints_than_are_named_stay_too_many(tmp_path):
     assert convert(source, bag, '--joint', 'a=c', '--effort-sign', '-1', '--effort-factors', 'c=2') == 0
     assert [state.data.effort for state in messages(bag, '/joint_states')] == [
         [-2.0], [-2.0, -2.0], [-2.0, -2.0, -3.0]]
+
+
+@pytest.mark.parametrize(('taken', 'option', 'sentence'), [
+    ('/joint_states', ('--wrench-sign', -1), 'wrenches are to change, but no topic that is taken holds geometry_msgs'),
+    ('/joint_states', ('--wrench-frame', 'ft'), 'wrenches are to change'),
+    ('/wrench', ('--effort-sign', -1), 'efforts are to change, but no topic that is taken holds sensor_msgs')])
+def test_an_option_that_changes_nothing_of_a_bag_is_refused(taken, option, sentence, tmp_path, capsys):
+    """It was passed over: the bag was written as it was."""
+    write_bag(tmp_path / 'in.mcap', motion(20))
+    output = tmp_path / 'out.mcap'
+    assert sentence in refusal(capsys, 'convert', tmp_path / 'in.mcap', output, '--topic', taken, *option)
+    assert not output.exists()
+
+
+def test_a_bag_of_which_nothing_can_be_read_is_not_converted(tmp_path, capsys):
+    """An empty bag was written, and the exit code was 0."""
+    source = tmp_path / 'in.mcap'
+    write_bag(source, motion(20))
+    data = bytearray(source.read_bytes())
+    with open_bag(source) as bag:
+        for segment in bag._index.segments:
+            data[(segment.offset + segment.end) // 2] ^= 0xff
+    source.write_bytes(data)
+    assert ' 0 of ' in refusal(capsys, 'convert', source, tmp_path / 'out.mcap')
+    assert [path.name for path in tmp_path.iterdir()] == ['in.mcap']
 
 
 def test_columns_by_name_with_times_signs_and_efforts(tmp_path):
