@@ -198,6 +198,9 @@ def test_what_is_no_tool_is_refused_in_a_sentence(text, sentence):
 def test_a_tool_at_a_link_that_the_outputs_do_not_feel_is_refused():
     with pytest.raises(SemiparamError, match="link 'upper' is not a link of the robot description that the outputs"):
         Tools(BODY, ['upper {"mass": 1.0}'])
+    efforts = build_rigid_body(replace(SETTINGS, outputs='effort', sensor_frame=''))
+    with pytest.raises(SemiparamError, match=r"link 'base' is not .* feel; expected one of upper, .*ft\.$"):
+        Tools(efforts, ['base {"mass": 1.0}'])  # was an internal error
 
 
 def test_desired_efforts_carry_the_tools():

@@ -200,9 +200,11 @@ def nearest_link(body: RigidBody, link: str, point: Array) -> tuple[str, Array]:
 @remembered
 def load_transform(body: RigidBody, link: str) -> tuple[int, Array]:
     """Number of the body that carries ``link``, and the (10, 10) map of inertial parameters from link to body, which
-    is not to be written to."""
+    is not to be written to; raises SemiparamError where the outputs feel none there."""
     model = body.arm if body.distal is None else body.distal
     frame = model.frames[_frame(model, link, body)]
+    if not frame.parentJoint:
+        raise _unfelt(link, body)
     placement = frame.placement
     rotation, shift = placement.rotation, placement.translation
     return frame.parentJoint - 1, np.column_stack([_moved(unit, rotation, shift) for unit in np.eye(10)])
@@ -252,6 +254,10 @@ def frame_index(body: RigidBody, link: str) -> int:
 
 def _frame(model: pin.Model, link: str, body: RigidBody) -> int:
     if not model.existFrame(link, pin.FrameType.BODY):
-        raise SemiparamError(f"link '{link}' is not a link of the robot description that the outputs feel; "
-                             f'expected one of {", ".join(loaded_links(body))}.')
+        raise _unfelt(link, body)
     return int(model.getFrameId(link, pin.FrameType.BODY))
+
+
+def _unfelt(link: str, body: RigidBody) -> SemiparamError:
+    return SemiparamError(f"link '{link}' is not a link of the robot description that the outputs feel; "
+                          f'expected one of {", ".join(observed_links(body))}.')
