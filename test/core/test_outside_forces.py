@@ -203,6 +203,14 @@ def test_a_tool_at_a_link_that_the_outputs_do_not_feel_is_refused():
         Tools(efforts, ['base {"mass": 1.0}'])  # was an internal error
 
 
+def test_efforts_tell_no_wrench_at_a_link_that_no_joint_moves():
+    """At the base it was zero, whatever pushed; a sensor's wrench is told anywhere."""
+    efforts = build_rigid_body(replace(SETTINGS, outputs='effort', sensor_frame=''))
+    with pytest.raises(SemiparamError, match=r"link 'base' is not .* feel; expected one of upper, .*ft\.$"):
+        ExternalWrench(efforts, 'base')
+    assert np.linalg.matrix_rank(ExternalWrench(BODY, 'base').outputs_of(np.zeros(2))) == 6
+
+
 def test_desired_efforts_carry_the_tools():
     estimator, state = build_estimator(SETTINGS), np.array([[0.3, -0.4], [1.0, 0.5], [2.0, -1.0]])
     with_tool = build_rigid_body(replace(SETTINGS, robot_description=URDF.replace(

@@ -22,7 +22,7 @@ import numpy as np
 import pinocchio as pin
 
 from semiparam_ros.core.prediction import Prediction
-from semiparam_ros.core.robot.frames import as_matrix, frame_index, last_link
+from semiparam_ros.core.robot.frames import as_matrix, frame_index, last_link, observed_links, unfelt
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.robot.size import push_force
 from semiparam_ros.core.types import Array
@@ -58,11 +58,13 @@ class ExternalWrench:
     """
 
     def __init__(self, body: RigidBody, frame: str = '') -> None:
-        """Raises SemiparamError when the robot has no such link."""
+        """Raises SemiparamError when the robot has no such link, or efforts feel no push there."""
         self._body, self._data = body, body.arm.createData()
         at_sensor = not frame and body.outputs == 'wrench'
         self.frame = frame or (str(body.sensor_frame) if at_sensor else last_link(body))
         self._index = body.sensor_index if at_sensor else frame_index(body, self.frame)
+        if body.outputs == 'effort' and self.frame not in observed_links(body):
+            raise unfelt(self.frame, body)
         self._at_sensor = at_sensor
         self._expected = push_wrench(body) ** 2
 

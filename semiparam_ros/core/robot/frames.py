@@ -204,7 +204,7 @@ def load_transform(body: RigidBody, link: str) -> tuple[int, Array]:
     model = body.arm if body.distal is None else body.distal
     frame = model.frames[_frame(model, link, body)]
     if not frame.parentJoint:
-        raise _unfelt(link, body)
+        raise unfelt(link, body)
     placement = frame.placement
     rotation, shift = placement.rotation, placement.translation
     return frame.parentJoint - 1, np.column_stack([_moved(unit, rotation, shift) for unit in np.eye(10)])
@@ -254,10 +254,11 @@ def frame_index(body: RigidBody, link: str) -> int:
 
 def _frame(model: pin.Model, link: str, body: RigidBody) -> int:
     if not model.existFrame(link, pin.FrameType.BODY):
-        raise _unfelt(link, body)
+        raise unfelt(link, body)
     return int(model.getFrameId(link, pin.FrameType.BODY))
 
 
-def _unfelt(link: str, body: RigidBody) -> SemiparamError:
+def unfelt(link: str, body: RigidBody) -> SemiparamError:
+    """Error of a link where nothing is felt."""
     return SemiparamError(f"link '{link}' is not a link of the robot description that the outputs feel; "
                           f'expected one of {", ".join(observed_links(body))}.')
