@@ -687,3 +687,11 @@ def _plain_evidence(equal, outputs, share):
     variance = np.einsum('na,na->n', power, np.linalg.solve(information, power.T).T)
     variance += DEFAULTS.model_error * (deviation[:len(power)] * equal.speed)**2
     return log + np.sum(np.log(2.0) + log_ndtr(power @ change / np.sqrt(variance))), change
+
+
+@pytest.mark.filterwarnings('error')
+def test_stamps_without_a_stretch_free_of_gaps_are_no_warning_of_numpy():
+    """As of two drivers that stamp in turn: numpy warned of means of nothing."""
+    body, samples = simulated(samples=999)
+    stamps = np.tile([1_000_000, 1_000_000, 148_000_000], 333).cumsum()
+    setup_problems(body, replace(samples, stamps=stamps, origin=int(stamps[0])))

@@ -176,6 +176,8 @@ def motion_problems(body: RigidBody, samples: Samples, usable: Mask,
     joints, moving = body.joints, np.ptp(samples.position, axis=0) > config.slow_range
     problems, right = _put_right(body, usable, samples, _other_belongings(joints, samples, moving, config), config)
     changes, integrals = _spans(right.time, right.position, right.velocity, config)
+    if not len(changes):  # no stretch without gaps, as where two drivers stamp in turn
+        return problems, right
     ratios = [_ratio(changes[:, joint], integrals[:, joint], config) if moving[joint] else math.nan
               for joint in range(len(joints))]
     clock = _clock(samples, ratios, config)
