@@ -114,7 +114,6 @@ class SavedState(NamedTuple):
         return self._replace(settings=_adopted(settings, self.settings), asked=asked)
 
 
-
 class Snapshot(NamedTuple):
     """Content of a file to be: copies of what samples change, and the samples kept, which nobody
     changes."""
