@@ -10,11 +10,12 @@ from semiparam_ros.core.samples import Samples
 from semiparam_ros.diagnosis.diagnose import diagnose
 from semiparam_ros.diagnosis.preparation import averaged
 from semiparam_ros.diagnosis.residual.contacts import contacts
-from semiparam_ros.diagnosis.search.moves import Move, hidden_moves
+from semiparam_ros.diagnosis.search.moves import Move, hidden_moves, single_moves
 from semiparam_ros.diagnosis.search.plausibility import without_impossible
 from semiparam_ros.diagnosis.search.refit import declare, gauss_newton, settled
 from semiparam_ros.diagnosis.search.revision import bent, pruned, with_common_forms, with_usual
 from semiparam_ros.diagnosis.search.score import Gain, gain, worth
+from semiparam_ros.diagnosis.search.scoring import coarse_trial, refine_foremost
 from semiparam_ros.diagnosis.search.stepwise import starting_fit
 from semiparam_ros.effects import kinds
 from semiparam_ros.effects.base import Span
@@ -316,3 +317,22 @@ def test_slow_ways_in_a_rest_are_followed():
     way = Way((time * 1e9).astype(np.int64), path, np.gradient(path, time)).without_noise_at_rest(time)
     assert np.abs(way.position - path).max() < 1e-3
     assert np.ptp(way.position[time > 11.0]) > 0.9 * np.ptp(path[time > 11.0])
+
+
+def other_way(lead_s):
+    """The rubbing arm, of which a joint has a tenth more viscous friction one way than the other."""
+    samples = rubbing(lead_s)
+    speed = samples.velocity[:, 1]
+    return replace(samples, outputs=samples.outputs + np.outer(2.0 * speed + 0.1 * np.abs(speed), np.arange(4) == 1))
+
+
+def test_what_takes_the_place_of_a_friction_begins_with_its_form():
+    """Beside dry friction that was bent, a coarse form loses more than the difference between directions gains: an
+    offset and a shake were told in its place."""
+    samples = other_way(lead_s=0.01)
+    known = with_leads(declare(fitted(samples), [ViscousFriction('turn')]))
+    own = next(effect for effect in known.effects if (effect.kind, effect.where) == ('coulomb_friction', 'turn'))
+    trial = coarse_trial(known, KINDS['asymmetric_friction'], 'turn')
+    assert trial.effect.parameters == own.parameters
+    moves = single_moves(known, refine_foremost(known, [trial]), KINDS)
+    assert [move.good for move in moves] == [True]

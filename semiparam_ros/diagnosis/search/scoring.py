@@ -24,7 +24,7 @@ from semiparam_ros.diagnosis.search.refit import gauss_newton
 from semiparam_ros.diagnosis.search.spans import best_spans
 from semiparam_ros.effects import Effect
 from semiparam_ros.effects.application_point import POINT
-from semiparam_ros.effects.base import ALWAYS
+from semiparam_ros.effects.base import ALWAYS, Values
 
 Progress = Callable[[str, float], None]
 POINT_DIFFERENCE = 1e-3
@@ -58,15 +58,26 @@ def coarse_trial(fit: Fit, kind: type[Effect], where: str | None) -> Trial | Non
     """An effect at the best of its coarse values and starts; None when none is physical, or nothing
     was recorded that it depends on."""
     best: tuple[float, Effect, Array] | None = None
-    fit = beside(fit, kind(where))
+    known, fit = fit, beside(fit, kind(where))
     reference = next((known.reference for known in fit.effects if known.reference), tuple(fit.rigid_part.tolist()))
-    for values in kind.searches(fit.body, fit.samples, where, fit.residual):
+    tried = kind.searches(fit.body, fit.samples, where, fit.residual)
+    for values in [*tried, *_as_replaced(known, fit, kind, tried)]:
         effect, columns = _started(fit, kind.from_values(where, values, reference))
         told = fit.explain(columns)
         physical = effect.is_calibration or effect.physical(told.coefficients)
         if physical and (best is None or told.loss < best[0]):
             best = told.loss, effect, columns
     return None if best is None else _fitted(fit, *best[1:])
+
+
+def _as_replaced(known: Fit, kept: Fit, kind: type[Effect], tried: Sequence[Values]) -> list[Values]:
+    """The forms of what an effect takes the place of, where they hold all that its own tried forms do.
+
+    They were bent to the samples. Beside such a form a coarse one loses more than the new cause gains.
+    """
+    replaced = [effect for effect in known.effects if effect not in kept.effects and effect.searched]
+    return [dict(effect.parameters) for effect in replaced if effect.parameters.keys() <= kind.parameter_units.keys()
+            and any(values.keys() <= effect.parameters.keys() for values in tried)]
 
 
 def beside(fit: Fit, effect: Effect) -> Fit:
