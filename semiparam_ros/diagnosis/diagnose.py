@@ -376,8 +376,8 @@ def _estimated(final: Fit, steps: list[Step], samples: Samples, start: _Start,
     if judged_here and (steps or final.effects):
         usable = start.fitting | start.held_out
         fixed = {identity(effect) for effect in start.first.effects}
-        refit = with_common_forms(fitted_to_all(final, usable, new), fixed) if steps else refit_weights(
-            with_effects(replace(final, train_mask=usable), final.effects))  # calibrations as declared
+        refit = with_common_forms(fitted_to_all(final, usable, new, start.first.counted), fixed) if steps else \
+            refit_weights(with_effects(replace(final, train_mask=usable), final.effects))  # calibrations as declared
         everything = refit if all_plausible(final, refit) else final
     return everything, estimates(everything, new, start.inputs.disturbed(samples) if everything.effects else ())
 

@@ -18,7 +18,7 @@ from semiparam_ros.core.types import Array, Mask
 from semiparam_ros.diagnosis.data.recordings import breaks_s
 from semiparam_ros.diagnosis.regression import Fit, predicted, refit_weights, refitted, with_effects
 from semiparam_ros.diagnosis.search.candidates import added_columns, identity, not_held_by
-from semiparam_ros.diagnosis.search.spans import around, with_best_edge
+from semiparam_ros.diagnosis.search.spans import around, with_best_edge, without_divided
 from semiparam_ros.effects import Effect
 from semiparam_ros.effects.application_point import POINT
 
@@ -209,17 +209,20 @@ def _relocated(fit: Fit) -> Fit:
     return fit if effects == list(fit.effects) else with_effects(fit, effects)
 
 
-def fitted_to_all(fit: Fit, usable: Mask, found: Collection[int]) -> Fit:
+def fitted_to_all(fit: Fit, usable: Mask, found: Collection[int], counted: Mask | None = None) -> Fit:
     """The same effects in the same order, fitted to all usable samples (N,).
 
     :param found: numbers of the effects that were found, whose times are searched again near where they are, and whose
         nonlinear values are settled.
+    :param counted: (N, n) outputs that tell something, those too in which something begins, for they tell when; the
+        model's unless given.
     """
-    everything = replace(fit, train_mask=usable)
+    everything = replace(fit, train_mask=usable, counted=fit.counted if counted is None else counted)
     effects = list(fit.effects)
     for number in found:
         effects[number] = _timed_anew(everything, effects, number)
-    return _without_common_gain(settled(declare(with_effects(everything, effects), []), found))
+    timed = without_divided(with_effects(everything, effects))
+    return _without_common_gain(settled(declare(timed, []), found))
 
 
 def _without_common_gain(fit: Fit) -> Fit:

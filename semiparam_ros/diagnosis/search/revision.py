@@ -171,7 +171,10 @@ def other_forms(fit: Fit, after: Fit, fixed: Collection[Place], kinds: Collectio
 
 def pruned(fit: Fit, fixed: Collection[Place], kinds: Collection[str],
            worth: Callable[[Fit], list[Gain]] = worth) -> Fit:
-    """The model without the effects that the others make needless, the weakest first; ``worth`` is that of each."""
+    """The model without the effects that the others make needless, the weakest first; ``worth`` is that of each.
+
+    Those that nothing speaks for go at once, but of two loads at one place one: each makes the other needless.
+    """
     while True:
         weak = []
         for number, (effect, each) in enumerate(zip(fit.effects, worth(fit), strict=True)):
@@ -181,6 +184,8 @@ def pruned(fit: Fit, fixed: Collection[Place], kinds: Collection[str],
                 weak.append((each.total, number))
         if not weak:
             return fit
-        gone = {number for total, number in weak if total < 0.0} or {min(weak)[1]}
+        worthless = {(fit.effects[number].kind, fit.effects[number].where): number
+                     for total, number in sorted(weak, reverse=True) if total < 0.0}
+        gone = set(worthless.values()) or {min(weak)[1]}
         kept = [effect for number, effect in enumerate(fit.effects) if number not in gone]
         fit = remaining(fit, kept)

@@ -16,7 +16,7 @@ from scipy.linalg import cho_solve
 from semiparam_ros.core.types import Array, Indices
 from semiparam_ros.diagnosis.data.recordings import breaks_s, without_pauses
 from semiparam_ros.diagnosis.data.splits import correlation_times
-from semiparam_ros.diagnosis.regression import ROUNDED, Fit
+from semiparam_ros.diagnosis.regression import ROUNDED, Fit, refit_weights, refitted
 from semiparam_ros.diagnosis.search.candidates import added_columns
 from semiparam_ros.effects import Effect
 from semiparam_ros.effects.base import Span
@@ -121,6 +121,22 @@ def around(fit: Fit, time_s: float) -> tuple[float, float]:
     times = without_pauses(fit.samples)[fit.train_mask]
     reach = float(times[-1] - times[0]) / fit.config.split_blocks
     return time_s - reach, time_s + reach
+
+
+def without_divided(fit: Fit) -> Fit:
+    """The model with no output counted of the working samples in which something begins or ends: a mean of what was
+    before and of what came then is neither, and what is taken off means for their curvature reaches the next ones.
+
+    The first one after a time tells it, so the one before may be the divided one.
+    """
+    times, length, breaks = fit.samples.time, fit.samples.averaged_s, breaks_s(fit.samples)
+    divided = np.zeros(len(times), dtype=bool)
+    for time_s in (time_s for effect in fit.effects for time_s in effect.span.values.values()):
+        if time_s not in breaks:
+            divided |= np.abs(times - (time_s - 0.5 * length)) < 3.0 * length
+    if not fit.counted[divided].any():
+        return fit
+    return refit_weights(refitted(fit, fit.effects, fit.nuisance, fit.counted & ~divided[:, None]))
 
 
 def _explained(fit: Fit, columns: Array, edges: Indices, spans: Indices) -> tuple[Array, Array]:

@@ -40,6 +40,7 @@ from semiparam_ros.diagnosis.search.revision import (
 )
 from semiparam_ros.diagnosis.search.score import block_gains, gain
 from semiparam_ros.diagnosis.search.scoring import Progress, Trial, coarse, overlap, refine_foremost
+from semiparam_ros.diagnosis.search.spans import without_divided
 from semiparam_ros.effects import Effect
 from semiparam_ros.effects.base import place
 
@@ -176,7 +177,7 @@ def _made(fit: Fit, best: Move, moves: Sequence[Move], ranking: Sequence[Trial],
     """The step that a move is, with what was added at its best and what it makes needless taken off. Where that is what
     was declared, in another form, it adds that; where it is what was found, nothing."""
     added = [identity(effect) for effect in best.added]
-    after = bent(best.after, added, kinds)
+    after = without_divided(bent(best.after, added, kinds))
     after = pruned(split(after, added, kinds), fixed, kinds)
     before = {(identity(effect), effect.end_s) for effect in fit.effects}
     names = {identity(effect) for effect in after.effects}
