@@ -141,11 +141,15 @@ def best_inputs(body: RigidBody, samples: Samples, effects: Sequence[Effect], tr
     """The motion with which the declared model, and what every arm has, predict unseen blocks best (of several that no
     block tells apart the first of OPTIONS), and the factor to the working rate.
 
+    No motion that comes late: late outputs would choose it, and it would hide a part of their delay, or make up one.
+
     Raises SemiparamError when too few samples are left to work with.
     """
     factor = working_factor(samples, config)
-    possible = OPTIONS if samples.acceleration.any() else ESTIMATED
     lags = measured_lags(samples, Inputs(FROM_POSITIONS, factor, config.smoothing_ends), config)
+    late_motion = {'recorded': max(lags), BUT_ACCELERATIONS: lags[1]}  # by how much their derivatives are late
+    in_time = [name for name in OPTIONS if late_motion.get(name, 0.0) <= _least_lag(samples)]
+    possible = in_time if samples.acceleration.any() else ESTIMATED
     options = {name: Inputs(name, factor, config.smoothing_ends, lags) for name in OPTIONS if name in possible}
     common = np.all([inputs.mask(train_mask) for inputs in options.values()], axis=0)
     require_enough(config, common)
@@ -241,10 +245,15 @@ def too_fast(samples: Samples, inputs: Inputs, fit: Fit) -> tuple[list[str], Arr
             f'what the model leaves. Small effects found here, or small ones not found, say little; {remedy}.'], share
 
 
+def _least_lag(samples: Samples) -> float:
+    """[s] half a sample: what is later than that comes late."""
+    return 0.5e-9 * float(np.median(np.diff(samples.stamps)))
+
+
 def late(inputs: Inputs, samples: Samples, filter_declared: bool = False) -> list[str]:
     """A sentence about velocities, unless their filter is declared, and one about accelerations, that come after the
     positions, as filtered ones do."""
-    least, sentences = 0.5e-9 * float(np.median(np.diff(samples.stamps))), []
+    least, sentences = _least_lag(samples), list[str]()
     remedies = (f'declare velocity_filter{{"time_constant_s": {inputs.lags[0]:.2g}}}',
                 'where none are published, raise acceleration.cutoff')
     for order, (name, lag, remedy) in enumerate(
