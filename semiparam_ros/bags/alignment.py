@@ -30,6 +30,8 @@ never written holds more, and one such value would leave nothing of a model."""
 TURN = 2.0 * np.pi
 FASTEST = 30.0
 """[rad/s, m/s] No joint goes to and fro so fast: of several publishers, who says so tells of another robot."""
+HARDLY = 0.2
+"""Of ``FASTEST``: no faster is a joint that others' positions lie between, while one in degrees is where it turns."""
 END_OF_TIME_NS = 2**31 * NANOSECONDS
 """The seconds of a header have 32 bits. One with more nanoseconds than a second has can be beyond that."""
 WITHOUT_VELOCITIES = 4
@@ -122,6 +124,55 @@ class ZeroOrderHold:
         self._coming.clear()
 
 
+class Whereabouts:
+    """Positions of the last two joint states, by which one is noticed that the joints cannot have reached."""
+
+    def __init__(self) -> None:
+        self.latest: tuple[int, list[float]] | None = None
+        self._before: tuple[int, list[float]] | None = None
+        """Stamps and positions of the last joint state, and of the last but one."""
+        self._jumps = self._returns = 0
+
+    def forget(self) -> None:
+        """Stamps begin anew; the counts stay."""
+        self.latest = self._before = None
+
+    def move(self, stamp: int, position: list[float]) -> None:
+        """Add the joint state that follows."""
+        self._before, self.latest = self.latest, (stamp, position)
+
+    def out_of_reach(self, stamp: int, position: Sequence[float]) -> int | None:
+        """Number of the first joint that cannot have come here since the last joint state, None: all can."""
+        if self.latest is None or stamp <= self.latest[0]:
+            return None
+        return _too_far(position, self.latest[1], (stamp - self.latest[0]) * 1e-9)
+
+    def count(self, stamp: int, position: Sequence[float]) -> None:
+        """Count a joint state out of reach: where the last one was so too, and this is about where the one before was,
+        it comes back."""
+        self._jumps += 1
+        if self.latest is not None and self._before is not None:
+            (before, start), (latest, between) = self._before, self.latest
+            self._returns += (_too_far(between, start, (latest - before) * 1e-9) is not None
+                              and _too_far(position, start, HARDLY * (stamp - before) * 1e-9) is None)
+
+    @property
+    def alternate(self) -> bool:
+        """Tell whether joint states go to and fro, as those of several robots do: of a second one that comes seldom
+        every other jump comes back; of positions in degrees hardly any. A single one may be a fault of a sensor."""
+        return self._returns > 1 and 3 * self._returns > self._jumps
+
+
+def _too_far(position: Sequence[float], start: Sequence[float], seconds: float) -> int | None:
+    """Number of the first joint that cannot have come so far in this time, None: all can; a whole turn is no way."""
+    farthest = FASTEST * seconds
+    for joint, (here, there) in enumerate(zip(position, start, strict=True)):
+        away = abs(here - there)
+        if away > farthest and abs(away - TURN) > farthest:
+            return joint
+    return None
+
+
 def _check(outputs: str, accelerations_known: bool) -> None:
     if outputs not in ('wrench', 'effort'):
         raise SemiparamError(f"outputs is {outputs!r}; expected 'wrench' or 'effort'.")
@@ -173,8 +224,7 @@ class SampleStream:
         """Whether the joint states hold velocities now."""
         self.shared = False
         """Whether several publish joint states."""
-        self._latest: tuple[int, Array] | None = None
-        """Stamp and row of the last joint state."""
+        self.whereabouts = Whereabouts()
         self._without = 0
         self._measured: tuple[int, Array] | None = None
         """Stamp and row of the last joint state that held velocities."""
@@ -214,7 +264,8 @@ class SampleStream:
         self._accelerations.clear()
         self._waiting.clear()
         self._last.clear()
-        self._measured = self._latest = None
+        self._measured = None
+        self.whereabouts.forget()
         for rates in (self._differentiator, self._velocity_filter, *self._temperatures.values()):
             if rates is not None:
                 rates.reset()
@@ -238,12 +289,12 @@ class SampleStream:
         if self._effort:
             values += [effort[order[index]] for index in self._outputs]
         n = len(order)
-        if self.shared and self._is_elsewhere(stamp, values[:n]):
+        if self._is_elsewhere(stamp, values[:n]):
             return []
         if not self._acceptable('joint state', stamp, values):
             return []
         row = np.array(values, dtype=float)
-        self._latest = stamp, row
+        self.whereabouts.move(stamp, values[:n])
         if 'velocity' in columns:
             self.velocities_measured, self._without, self._measured = True, 0, (stamp, row)
         else:
@@ -271,15 +322,16 @@ class SampleStream:
         return row
 
     def _is_elsewhere(self, stamp: int, position: Sequence[float]) -> bool:
-        """Refuse positions that the joints cannot have reached since the last joint state; a whole turn is no way."""
-        if self._latest is None or stamp <= self._latest[0]:
+        """Refuse positions that the joints cannot have reached since the last joint state, where several publish."""
+        joint, latest = self.whereabouts.out_of_reach(stamp, position), self.whereabouts.latest
+        if joint is None or latest is None:
             return False
-        seconds = (stamp - self._latest[0]) * 1e-9
-        away = np.abs(np.array(position) - self._latest[1][:len(position)])
-        far = np.flatnonzero(np.minimum(away, np.abs(away - TURN)) > FASTEST * seconds)
-        if not len(far) or not away.max() < LARGEST:
+        if not self.shared:
+            self.whereabouts.count(stamp, position)
             return False
-        joint = far[0]
+        seconds, away = (stamp - latest[0]) * 1e-9, np.abs(np.array(position) - latest[1])
+        if not away.max() < LARGEST:
+            return False
         self._refuse('elsewhere', f'joint state at {in_seconds(stamp)} s has {self.joints[joint]!r} '
                                   f'{away[joint]:.3g} rad or m from where it was {seconds:.3g} s before: several '
                                   'publish joint states, and this one is of another robot.')

@@ -41,6 +41,8 @@ class LoadedBag(NamedTuple):
     losses: Losses
     stretches: tuple[int, ...]
     """Number of samples of each stretch that was read; one stretch where all was read."""
+    shared: str = ''
+    """A sentence where several publish joint states; '' where one does."""
 
 
 STRETCHES = 24
@@ -56,8 +58,18 @@ def load_samples(path: str | os.PathLike[str], settings: Table,
         ``STRETCHES`` equally long stretches are read, evenly spread over it, and the rest is passed
         over.
 
+    Where joint states tell that several publish them, those of another robot are left out, as in the node.
     A bag without a topic that ``settings`` need, or with no sample at all, raises SemiparamError.
     """
+    loaded, alternates = _load(path, settings, most, shared=False)
+    if alternates:
+        loaded, _ = _load(path, settings, most, shared=True)
+    return loaded
+
+
+def _load(path: str | os.PathLike[str], settings: Table, most: Callable[[float], int] | None,
+          shared: bool) -> tuple[LoadedBag, bool]:
+    """Load (samples of a bag, whether joint states alternate). :param shared: see SampleStream."""
     from semiparam_ros.bags.reader import open_bag  # the node, which shares this module, reads no bags
 
     with open_bag(path) as bag:
@@ -70,6 +82,7 @@ def load_samples(path: str | os.PathLike[str], settings: Table,
         description = recorded_description(bag)
         joints = _joints(settings, description, bag)
         stream = sample_stream(settings, joints, measured, capacity=None)
+        stream.shared = shared
         outputs = layout.WRENCH if settings.outputs == 'wrench' else layout.JOINT_STATES
         windows = _windows(bag, bag.topics[outputs].count, most)
         frame_id, stretches = _read_windows(bag, stream, needed, windows)
@@ -77,7 +90,7 @@ def load_samples(path: str | os.PathLike[str], settings: Table,
         if not samples:
             raise SemiparamError(_nothing_matched(bag, stream, needed, bool(settings.joints)))
         return LoadedBag(Samples.from_list(samples), description, stream.faults, joints, frame_id, stream.last_fault,
-                         bag.losses, tuple(map(len, stretches)))
+                         bag.losses, tuple(map(len, stretches)), _of_others(bag, stream)), stream.whereabouts.alternate
 
 
 def require_same_robot(settings: Table, bags: Sequence[LoadedBag]) -> None:
@@ -202,6 +215,14 @@ def _read(bag: BagReader, stream: SampleStream, needed: Collection[str], start: 
         if not frame_id and message.topic == layout.WRENCH:
             frame_id = reading.frame_id
     return frame_id, samples
+
+
+def _of_others(bag: BagReader, stream: SampleStream) -> str:
+    """A sentence about joint states that were left out as another robot's; '' without any."""
+    count = stream.faults['elsewhere']
+    return (f'{str(bag.path)!r}: positions on {layout.JOINT_STATES} go to and fro faster than joints can, so several '
+            f'publish there. {count} messages are left out as another robot\'s. Record each robot on a topic of its '
+            'own.') if count else ''
 
 
 def _nothing_matched(bag: BagReader, stream: SampleStream, needed: Iterable[str],

@@ -178,6 +178,8 @@ def load_bags(paths: Sequence[Path], settings: Settings, most: Callable[[float],
         left_out = ', '.join(f'{count} {reason}' for reason, count in sorted(bag.faults.items()) if count)
         if left_out:
             options.console.print(f'{path}: left out {left_out}.')
+        if bag.shared:
+            options.console.print(bag.shared)
         if bag.losses:
             options.console.print(bag.losses.sentence)
     return bags if with_tools or not settings.tools else [_without_tools(bag, settings) for bag in bags]

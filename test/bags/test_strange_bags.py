@@ -1,19 +1,23 @@
 """Sound MCAP files of strangers: topics of two types, other encodings, definitions that are none."""
 
 import struct
+from functools import partial
+from operator import itemgetter
 
+import numpy as np
 import pytest
 from mcap.writer import Writer as McapWriter
 from mcap_ros2._dynamic import serialize_dynamic
 
-from semiparam_ros.bags import schemas
+from semiparam_ros.bags import sample_messages, schemas
 from semiparam_ros.bags.loading import load_samples
 from semiparam_ros.bags.reader import open_bag
 from semiparam_ros.bags.writer import BagWriter
+from semiparam_ros.cli.evaluate import load_bags
 from semiparam_ros.cli.main import main
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.settings import Settings
-from support.node_helpers import JOINTS, motion, write_bag
+from support.node_helpers import JOINTS, PERIOD_NS, motion, write_bag
 
 STATES, STATE, STRING = '/joint_states', 'sensor_msgs/msg/JointState', 'std_msgs/msg/String'
 SETTINGS = Settings.from_mapping({'joints': list(JOINTS), 'sensor_frame': 'ft'})
@@ -201,3 +205,42 @@ def test_a_recording_without_samples_says_what_is_missing_in_it(tmp_path):
             empty.write_raw(message.topic, message.raw, message.log_time, message.publish_time)
     with pytest.raises(SemiparamError, match=r'0 on /wrench, .* messages\): there are none on /wrench\.$'):
         load_samples(tmp_path / 'empty.mcap', SETTINGS)
+
+
+def with_another_robot(path, samples, others):
+    """A bag of a robot's samples, with joint states of another one between them."""
+    write_bag(path.with_name('alone.mcap'), samples)
+    with open_bag(path.with_name('alone.mcap')) as alone, BagWriter(path) as bag:
+        messages = [(message.log_time, partial(bag.write, message.topic, message.type, message.data, message.log_time))
+                    for message in alone.messages()]
+        for stamp, position, velocity, *_ in others:
+            state = sample_messages.joint_state(stamp + PERIOD_NS // 2, JOINTS, (position + 1.0).tolist(),
+                                                velocity.tolist())
+            messages.append((state.stamp, partial(state.put, bag)))
+        for _, write in sorted(messages, key=itemgetter(0)):
+            write()
+    return path
+
+
+def test_joint_states_of_two_robots_are_told_and_those_of_the_second_left_out(tmp_path, capsys):
+    """They were mixed in silence: the error of a model was a hundred times as large."""
+    samples = motion(100)
+    path = with_another_robot(tmp_path / 'a.mcap', samples, samples[:99])
+    loaded, = load_bags([path], SETTINGS)
+    said = ' '.join(capsys.readouterr().err.split())
+    assert 'positions on /joint_states go to and fro faster than joints can, so several publish there. 99 ' in said
+    assert 'Record each robot on a topic of its own.' in said and loaded.faults['elsewhere'] == 99
+    alone = load_samples(tmp_path / 'alone.mcap', SETTINGS).samples
+    np.testing.assert_array_equal(loaded.samples.position, alone.position)
+    np.testing.assert_array_equal(loaded.samples.stamps, alone.stamps)
+
+
+def test_a_joint_state_that_jumps_once_or_positions_in_degrees_are_no_second_robot(tmp_path):
+    samples = motion(1000)
+    load = partial(load_samples, settings=SETTINGS)
+    assert not load(with_another_robot(tmp_path / 'a.mcap', samples, samples[50:51])).shared
+    moved = [*samples[:50], *(sample._replace(position=sample.position + 5.0) for sample in samples[50:])]
+    degrees = [sample._replace(position=np.rad2deg(sample.position)) for sample in samples]
+    for number, each in enumerate((moved, degrees, degrees[::2])):
+        loaded = load(write_bag(tmp_path / f'{number}.mcap', each))
+        assert len(loaded.samples) == len(each) and not loaded.shared and not loaded.faults
