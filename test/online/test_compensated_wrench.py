@@ -94,9 +94,33 @@ def test_a_tare_after_a_tool_was_declared_takes_none_of_its_weight_for_a_bias():
     carried = [sample._replace(outputs=sample.outputs + tools.outputs(*sample[1:4])) for sample in samples]
     stage.offer(carried[:100])
     stage.learner.change(replace(stage.learner.settings, tools=(TOOL,)))
-    stage.offer(carried[100:110])
-    assert stage.learner.tare.take() == 10
+    stage.offer(carried[100:130])
+    assert stage.learner.tare.take() == 30
     assert np.abs(stage.learner.tare.bias).max() < 0.5, 'eight newtons are the tool'
+
+
+@pytest.mark.parametrize('by', ['a tool', 'a tare', 'a model'])
+def test_a_tare_right_after_a_change_says_how_long_to_wait(by):
+    """It took the noise of what had come since, of a single sample; or the initial window was said not to be over."""
+    stage, samples = settled()
+    stage.offer(samples[:100])
+    if by == 'a tare':
+        stage.learner.take_tare()
+    else:
+        tools = {'tools': (TOOL,)}
+        stage.learner.change(replace(stage.learner.settings, **(tools if by == 'a tool' else {'variant': 'NP-ML'})))
+    bias = stage.learner.tare.bias.copy()
+    with pytest.raises(SemiparamError, match=r'second to tare by since a tool, the .*; wait for 0\.5 s of samples'):
+        stage.learner.tare.take()
+    stage.offer(samples[100:101])
+    with pytest.raises(SemiparamError, match=r'^1 samples came since a tool, the model .* wait 0\.5 s more\.$'):
+        stage.learner.tare.take()
+    stage.offer(samples[101:125])
+    with pytest.raises(SemiparamError, match=r'^25 samples came since .* wait 0\.02 s more\.$'):
+        stage.learner.tare.take()
+    np.testing.assert_array_equal(stage.learner.tare.bias, bias)
+    stage.offer(samples[125:126])
+    assert stage.learner.tare.take() == 26
 
 
 @pytest.mark.parametrize('by', ['a model', 'a change'])
@@ -117,8 +141,8 @@ def test_a_tare_after_a_load_is_known_takes_none_of_its_weight_for_a_bias(by):
         applied = stage.learner.changes.applied
         applied.offer(1, Payload('ft'), load, 0.01 * np.ones(10), samples[99].stamp)
         applied.switch(applied.trials[0], samples[99].stamp)
-    stage.offer(carried[100:110])
-    assert stage.learner.tare.take() in (9, 10)
+    stage.offer(carried[100:130])
+    assert stage.learner.tare.take() in (29, 30)
     assert np.abs(stage.learner.tare.bias).max() < 0.8, 'eight newtons are the load'
 
 
