@@ -137,15 +137,15 @@ def diagnose_bag(args: argparse.Namespace, settings: Settings) -> Diagnosis:
                 f'{path} is long: {len(bag.stretches)} stretches of it are looked at, '
                 f'{len(bag.samples)} samples evenly spread over {bag.samples.time[-1]:.0f} s.')
     body = build_rigid_body(settings, description_in([*bags, *judges]))
+    options.remark(body)
     recordings, judging = ([whole_groups(bag.samples, working_factor(bag.samples), bag.stretches) for bag in some]
                            for some in (bags, judges))
     samples = recordings[0] if len(recordings) == 1 else Samples.joined(of_one_rate(recordings))
-    other = (str(args.judge), judging[0]) if judging else None
     train_mask = None if args.split is None else leading_split(len(samples), args.split)
     effects = [*declared_effects(settings), *declared_inside(args, samples)]
     with options.progress_bar() as bar:
         task = bar.add_task('reading', total=100)
-        return diagnose(body, samples, effects, train_mask, other,
+        return diagnose(body, samples, effects, train_mask, (str(args.judge), judging[0]) if judging else None,
                         args.kinds,
                         lambda words, share: bar.update(task, description=words, completed=int(100 * share)),
                         names=[str(path) for path in args.bags])

@@ -115,6 +115,7 @@ def run(args: argparse.Namespace) -> int:
     training, bags = (load_bags(paths, settings, with_tools=True) for paths in (args.train, args.bags))
     require_same_robot(settings, [*bags, *training])
     body = build_rigid_body(replace(settings, joints=bags[0].joints), description_in([*bags, *training]))
+    options.remark(body)
     with options.progress_bar() as progress:
         scores = {variant: evaluate(replace(settings, variant=variant), training, bags, args.frozen, progress,
                                     waits, rows, changes)

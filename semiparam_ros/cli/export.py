@@ -127,6 +127,7 @@ def _of_state(args: argparse.Namespace, settings: Settings) -> Estimate:
     changes = AppliedEffects(body)
     changes.restore(saved.applied)
     samples = saved.batch.samples
+    options.remark(body)
     _require_right_setup(args, body, samples, declared_effects(saved.settings))
     if args.kept_samples and samples is not None:
         texts = *saved.settings.effects, *(f'payload@{link}' for link in args.load)
@@ -146,6 +147,7 @@ def _of_recording(args: argparse.Namespace, settings: Settings) -> tuple[Estimat
 
     bag = load_bags([args.source], settings, lambda rate: MOST_SAMPLES)[0]
     body = build_rigid_body(settings, bag.robot_description)
+    options.remark(body)
     effects = declared_effects(settings)
     _require_right_setup(args, body, bag.samples, effects)
     estimate = from_recording(body, effects, bag.samples,

@@ -63,6 +63,7 @@ def run(args: argparse.Namespace) -> int:
     from semiparam_ros.core.initial_window import gathered_from
     from semiparam_ros.experiments.initial_window import fitted_settings
     from semiparam_ros.settings import dump_params, load_params
+    from semiparam_ros.settings.build import build_rigid_body
 
     options.require_places(args.output, args.json, inputs=[args.bag])
     options.require_places(args.json, inputs=[args.params])
@@ -73,6 +74,7 @@ def run(args: argparse.Namespace) -> int:
     settings = replace(settings, variant=variants[0])
     estimation = estimation_of(args)
     bag = load_bags([args.bag], settings)[0]
+    options.remark(build_rigid_body(settings, bag.robot_description))
     gathered = gathered_from(bag.samples, settings.initial_samples)
     window = bag.samples[gathered.indices]
     if not gathered.full:

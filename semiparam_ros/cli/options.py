@@ -8,7 +8,7 @@ import math
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from rich import box
 from rich.console import Console
@@ -17,6 +17,9 @@ from rich.table import Table
 
 from semiparam_ros.atomic_write import require_writable, write_text
 from semiparam_ros.errors import SemiparamError
+
+if TYPE_CHECKING:
+    from semiparam_ros.core.robot.rigid_body import RigidBody
 
 SCHEMA = 1
 
@@ -44,6 +47,12 @@ def add_params_option(parser: argparse.ArgumentParser) -> None:
 def add_json_option(parser: argparse.ArgumentParser) -> None:
     """Add `--json FILE`: where the result goes in machine-readable form."""
     parser.add_argument('--json', metavar='FILE', type=Path, help='write the result to this JSON file, in SI units')
+
+
+def remark(body: RigidBody) -> None:
+    """Say on standard error what of a robot its description leaves open."""
+    if body.remark:
+        console.print(body.remark)
 
 
 def tell(line: str) -> None:

@@ -1,5 +1,6 @@
 """`semiparam evaluate` on recordings that the test writes, and on the measured iCub arm."""
 
+import xml.etree.ElementTree as ElementTree
 from dataclasses import replace
 from functools import partial
 from types import SimpleNamespace
@@ -174,6 +175,22 @@ def test_the_description_is_in_one_of_several_recordings(params, recording, tmp_
     assert semiparam('convert', recording, bare, '--topic', '/joint_states', '--topic', '/wrench') == 0
     found = document_of(params, tmp_path / 'result.json', bare, recording, '--variant', 'P')
     assert found['variants']['P']['samples'] == 800 - INITIAL
+
+
+@pytest.mark.parametrize('command', ['evaluate', 'fit', 'export', 'diagnose'])
+def test_a_floating_base_that_is_held_still_is_told_once(command, recording, tmp_path, capsys):
+    """It was locked at zero without a word."""
+    name = ElementTree.fromstring(URDF.read_text()).find('link').get('name')
+    on_it = f'<link name="all"/><joint name="loose" type="floating"><parent link="all"/><child link="{name}"/></joint>'
+    urdf, params = tmp_path / 'loose.urdf', tmp_path / 'loose.yaml'
+    urdf.write_text(URDF.read_text().replace('</robot>', f'{on_it}</robot>'))
+    dump_params(Settings.from_mapping({'sensor_frame': FRAME, 'joints': list(JOINTS), 'initial.samples': INITIAL,
+                                       'robot_description_file': str(urdf), 'variant': 'P'}), params)
+    more = {'fit': ['-o', tmp_path / 'fit.yaml'], 'diagnose': ['--kinds', 'viscous_friction']}.get(command, [])
+    capsys.readouterr()
+    semiparam(command, recording, '--params', params, *more)
+    told = ' '.join(capsys.readouterr().err.split())
+    assert told.count('joints that are floating or planar, loose, which are held at zero') == 1
 
 
 def test_too_short_a_recording_is_refused(params, tmp_path, capsys):

@@ -5,13 +5,15 @@ from math import inf, nan
 from types import SimpleNamespace
 
 import pytest
+from rclpy.logging import LoggingSeverity
 from rclpy.qos import QoSHistoryPolicy, QoSReliabilityPolicy
 
 from semiparam_ros.bags.readings import Reading
 from semiparam_ros.ros.estimator import diagnostics
 from semiparam_ros.ros.estimator.diagnostics import OK, InputReport, Rejections
 from semiparam_ros.ros.estimator.subscriptions import ACCELERATIONS, JOINT_STATES, InputStream
-from support.node_helpers import JOINTS, SETTINGS
+from semiparam_ros.settings.build import build_rigid_body
+from support.node_helpers import JOINTS, SETTINGS, URDF
 
 EFFORTS = replace(SETTINGS, outputs='effort', sensor_frame='', acceleration_source='filter')
 PERIOD_NS = 5_000_000
@@ -116,3 +118,15 @@ def test_a_checkpoint_that_cannot_be_written_is_no_message_that_was_refused():
     inputs.rejections.add('checkpoints', 'a.checkpoint.npz was not written: No space left on device.')
     level, message, values = inputs.report.make()
     assert (level, message, values['refused: checkpoints'], values['last refusal']) == (OK, 'receiving.', 1, '')
+
+
+@pytest.mark.parametrize('kind', ['floating', 'planar', 'fixed'])
+def test_a_base_that_is_held_still_is_warned_of_at_start(kind):
+    """It was locked at zero without a word."""
+    on_it = f'<link name="world"/><joint name="root" type="{kind}"><parent link="world"/><child link="base"/></joint>'
+    body = build_rigid_body(replace(SETTINGS, robot_description=URDF.replace('</robot>', f'{on_it}</robot>')))
+    said = []
+    diagnostics.Reports.open(SimpleNamespace(say=lambda *words: said.append(words)), 'two', body)
+    assert said[1:] == ([] if kind == 'fixed' else [
+        ('the robot description has joints that are floating or planar, root, which are held at zero, for no joint '
+         'state follows them. Where they move, what is predicted and found is wrong.', LoggingSeverity.WARN)])

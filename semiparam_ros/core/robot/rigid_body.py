@@ -27,7 +27,7 @@ from semiparam_ros.core.robot.arm_motion import FEW, effort_regressors
 from semiparam_ros.core.robot.joint_units import sliding
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array, Indices
-from semiparam_ros.errors import SemiparamError
+from semiparam_ros.errors import SemiparamError, listed
 
 GRAVITY = np.array([0.0, 0.0, -9.81])
 SENSOR, ROOT = urdf_tree.SENSOR, urdf_tree.ROOT
@@ -147,10 +147,13 @@ class RigidBody:
     """
 
     def __init__(self, arm: pin.Model, distal: pin.Model | None, frame: str | None, joints: Sequence[str],
-                 sign: float, output_joints: Sequence[str] = (), held: Collection[str] = ()) -> None:
+                 sign: float, output_joints: Sequence[str] = (), held: Collection[str] = (),
+                 unfollowed: Sequence[str] = ()) -> None:
         self.joints = tuple(joints)
         self.held = frozenset(held)
         """Links beyond a locked joint: here they are fixed to the body before it."""
+        self.unfollowed = tuple(unfollowed)
+        """Joints that are floating or planar, which are held at zero."""
         self.output_index: Indices = np.array([index for index, name in enumerate(joints) if name in output_joints],
                                               dtype=np.int64)
         """(n,) numbers of the joints whose efforts are the outputs; of a wrench (0,)."""
@@ -171,6 +174,14 @@ class RigidBody:
         self.basis = self._identifiable_basis()
         self._unfelt = null_space(self.basis.T)
         self._reduce_by(self.basis)
+
+    @property
+    def remark(self) -> str:
+        """A sentence about joints that no joint state can follow; '' without any."""
+        if not self.unfollowed:
+            return ''
+        return (f'the robot description has joints that are floating or planar, {listed(self.unfollowed)}, which are '
+                'held at zero, for no joint state follows them. Where they move, what is predicted and found is wrong.')
 
     def __getstate__(self) -> dict[str, object]:
         """All but pinocchio's scratch memory, which is nine tenths of it and takes milliseconds to write as text, and
@@ -216,11 +227,12 @@ class RigidBody:
         urdf_tree.check_joints(robot, joints)
         locked = dict(locked or {})
         check_locked(joints, locked)
-        whole = build(robot)
+        whole, unfollowed = build(robot), urdf_tree.unfollowed_joints(robot)
         arm = reduced(whole, joints, locked)
         if outputs == 'effort':
             urdf_tree.check_output_joints(joints, output_joints)
-            return cls(arm, None, None, joints, 1.0, output_joints or joints, held_links(whole, joints))
+            return cls(arm, None, None, joints, 1.0, output_joints or joints, held_links(whole, joints),
+                       unfollowed)
         if not sensor_frame:
             raise SemiparamError('sensor_frame is empty; a wrench needs the link or joint that carries the sensor.')
         link = urdf_tree.sensor_link(robot, sensor_frame)
@@ -230,7 +242,8 @@ class RigidBody:
         hanging = build(subtree, pin.JointModelFreeFlyer())
         distal = reduced(hanging, inside & set(joints),
                          {name: value for name, value in locked.items() if name in inside}, keep_root=True)
-        return cls(arm, distal, sensor_frame, joints, CONVENTIONS[convention], held=held_links(hanging, joints))
+        return cls(arm, distal, sensor_frame, joints, CONVENTIONS[convention], held=held_links(hanging, joints),
+                   unfollowed=unfollowed)
 
     @property
     def n_joints(self) -> int:

@@ -67,6 +67,11 @@ def joint_types(robot: ElementTree.Element) -> dict[str, str]:
     return {str(joint.get('name')): str(joint.get('type')) for joint in robot.findall('joint')}
 
 
+def unfollowed_joints(robot: ElementTree.Element) -> tuple[str, ...]:
+    """Names of the joints that may move, but have no single position that a joint state could hold."""
+    return tuple(name for name, kind in joint_types(robot).items() if kind not in (*MOVING, 'fixed'))
+
+
 def check_joints(robot: ElementTree.Element, joints: Sequence[str]) -> None:
     """Raise SemiparamError unless every name is a distinct moving joint of the robot."""
     types = joint_types(robot)

@@ -499,6 +499,8 @@ class Reports:
         predicted = f'the wrench at {body.sensor_frame}' if body.sensor_frame else 'the effort of each'
         self.say(f'{robot_name or "the robot"} is known by its description and moves {", ".join(body.joints)}; '
                  f'{predicted} is predicted.')
+        if body.remark:
+            self.say(body.remark, LoggingSeverity.WARN)
 
     def say(self, sentence: str, severity: LoggingSeverity = LoggingSeverity.INFO) -> None:
         """Into the log, and into the status of learning as the last news."""
