@@ -1,6 +1,8 @@
 """Feedforward: the torques that follow from a wrench model, against pinocchio's rnea."""
 
 from dataclasses import replace
+from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 import pinocchio as pin
@@ -20,6 +22,7 @@ from semiparam_ros.online.desired_state import joint_torques
 from semiparam_ros.ros.estimator.desired_trajectory import (
     MOST_NAMES,
     MOST_POINTS,
+    DesiredTrajectory,
     TrajectoryPoint,
     TrajectoryReader,
     TrajectoryWriter,
@@ -298,3 +301,17 @@ def test_trajectories_that_lack_something_are_refused_by_name():
         TrajectoryReader(b'\0\0\0\0' + np.array([2**31 - 1, 2**32 - 1, 0, 0, 0], '>u4').tobytes())
     with pytest.raises(SemiparamError, match='point 3 of desired_trajectory lies at'):
         stamp_of(2**31 * 10**9, TrajectoryPoint((), 2**31 * 10**9), 3)
+
+
+def test_that_trajectories_are_answered_again_is_information():
+    """It was logged as a warning."""
+    said = []
+    log = SimpleNamespace(**{level: partial(lambda level, text: said.append((level, text)), level)
+                             for level in ('info', 'warning')})
+    node = SimpleNamespace(get_logger=lambda: log, create_publisher=lambda *_: None,
+                           create_subscription=lambda *_, **__: None)
+    topic = DesiredTrajectory(node, 'wrench', *4 * [None])
+    for sentence in ('feedforward is withheld.', 'feedforward is withheld.', '', ''):
+        topic.feedforward.withheld = sentence
+        topic._tell_withheld()
+    assert said == [('warning', 'feedforward is withheld.'), ('info', 'desired trajectories are answered.')]

@@ -181,7 +181,7 @@ class DesiredTrajectory:
         self._work: deque[Iterator[None]] = deque()
         kind = WrenchStamped if outputs == 'wrench' else JointState
         self.feedforward = Feedforward()
-        self._warn, self._warned = node.get_logger().warning, ''
+        self._log, self._warned = node.get_logger(), ''
         self._told: set[str] = set()
         self._points = node.create_publisher(kind, '~/feedforward', MOST_POINTS)
         self._std = node.create_publisher(kind, '~/feedforward_std', MOST_POINTS)
@@ -229,7 +229,10 @@ class DesiredTrajectory:
         """Once when it begins, and once when trajectories are answered again: a controller sends many a second."""
         if bool(self.feedforward.withheld) != bool(self._warned):
             self._warned, self._told = self.feedforward.withheld, set()
-            self._warn(self._warned or 'desired trajectories are answered.')
+            if self._warned:
+                self._log.warning(self._warned)
+            else:
+                self._log.info('desired trajectories are answered.')
 
     def _answered(self, trajectory: TrajectoryReader, order: Sequence[int]) -> Iterator[None]:
         """Step by step: every point is checked before the first one is answered."""
@@ -269,7 +272,7 @@ class DesiredTrajectory:
         new = {mark for mark in MARKS if self.feedforward.counts[mark] > before[mark]} - self._told
         if new:
             self._told |= new
-            self._warn(f'{self.feedforward.sentence(before)} Further ones are counted on /diagnostics.')
+            self._log.warning(f'{self.feedforward.sentence(before)} Further ones are counted on /diagnostics.')
 
 
 def joint_order(names: Sequence[str], joints: Sequence[str]) -> list[int]:
