@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import zip_longest
@@ -17,6 +18,7 @@ from semiparam_ros.core.robot.urdf import parse
 from semiparam_ros.core.stamps import stamp_fields
 from semiparam_ros.errors import SemiparamError, listed
 
+TOPIC_NAME = re.compile(r'(/[A-Za-z_][A-Za-z0-9_]*)+')
 _JOINT_STATE, _WRENCH = layout.TYPES[layout.JOINT_STATES], layout.TYPES[layout.WRENCH]
 _TRAJECTORY, _TEMPERATURE = layout.TYPES[layout.JOINT_ACCELERATIONS], layout.TYPES[layout.TEMPERATURE]
 
@@ -157,6 +159,9 @@ def _add_topics(source: BagReader, edits: Edits, chosen: Mapping[str, str], bag:
     for old, new in chosen.items():
         if old not in source.topics:
             raise SemiparamError(f'{str(source.path)!r} has no topic {old}; it has {", ".join(source.topics)}.')
+        if new != old and not TOPIC_NAME.fullmatch(new):
+            raise SemiparamError(f'{old} is to become {new!r}, which is no name of a topic; expected one such as '
+                                 f'{layout.JOINT_STATES}, of letters, digits, _ and /.')
         info = source.topics[old]
         if obstacle(info):
             raise SemiparamError(f'{str(source.path)!r}: topic {old} holds {info.type or "no known type"}, encoded as '

@@ -12,7 +12,7 @@ from rich.console import Console
 
 from semiparam_ros.atomic_write import write_text
 from semiparam_ros.cli import options
-from semiparam_ros.errors import SemiparamError
+from semiparam_ros.errors import SemiparamError, shortened
 
 if TYPE_CHECKING:
     from rich.progress import Progress
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from semiparam_ros.bags.loading import LoadedBag
     from semiparam_ros.core.robot.external_wrench import ExternalWrench
     from semiparam_ros.core.types import Array
-    from semiparam_ros.experiments.evaluation import VariantScores
+    from semiparam_ros.experiments.evaluation import OfflineLearner, VariantScores
     from semiparam_ros.online.change_watch import ChangeRecord
     from semiparam_ros.online.learner import Answer
     from semiparam_ros.settings import Settings
@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 HEADINGS = {'eps_force': 'eps^F', 'eps_torque': 'eps^T', 'eps_effort': 'eps'}
 WRENCH_HEADER = ','.join(['stamp_ns', *(f'{name}{part}' for part in ('', '_std')
                                         for name in ('fx', 'fy', 'fz', 'tx', 'ty', 'tz'))])
+MOST_DIGITS = 18
+"""Of a number of samples."""
 PHASES = {'first_30_s': '< 30 s', 'steady_state': 'steady'}
 
 HELP = 'Predict, then learn, every sample of recordings, and report the errors of one or several variants.'
@@ -150,8 +152,9 @@ def check_options(args: argparse.Namespace, variants: int) -> None:
 def takeovers(text: str) -> list[int]:
     """The numbers of samples in ``--takeover-after``."""
     numbers = text.split(',')
-    if not all(number.isdecimal() for number in numbers):
-        raise SemiparamError(f'--takeover-after is {text}; expected numbers of samples, such as 130 or 130,60.')
+    if not all(number.isdecimal() and len(number) <= MOST_DIGITS for number in numbers):
+        raise SemiparamError(f'--takeover-after is {shortened(text, 60)}; expected numbers of samples, such as 130 or '
+                             '130,60.')
     return [int(number) for number in numbers]
 
 
@@ -206,7 +209,6 @@ def evaluate(settings: Settings, training: Sequence[LoadedBag], bags: Sequence[L
     The initial window is answered by the rigid body alone, whatever the variant, and is not counted.
     Raises SemiparamError when the recordings are over before the initial window is, or none gives hyperparameters.
     """
-    from semiparam_ros.core.motion import moving
     from semiparam_ros.core.robot.external_wrench import ExternalWrench
     from semiparam_ros.experiments.evaluation import OfflineLearner, VariantScores
 
@@ -223,18 +225,28 @@ def evaluate(settings: Settings, training: Sequence[LoadedBag], bags: Sequence[L
         offline.on_answer = _writer_of(wrenches, ExternalWrench(offline.estimator.body, settings.external_wrench_frame))
     for bag in bags:
         offline.take(bag, scores, settings.learning and not frozen)
-    if not len(scores) and offline.learner.failed_windows:
-        raise SemiparamError(f'{settings.variant}: no initial window gives hyperparameters, the last one because '
-                             f'{offline.learner.failed_windows[-1]}.')
+    if not len(scores):
+        raise SemiparamError(_why_none(offline, settings, [*training, *bags], takeovers))
     for reason in offline.learner.failed_windows:
         options.console.print(f'{settings.variant}: an initial window gives no hyperparameters '
                               f'({reason}); another one is gathered.')
-    if not len(scores):
-        moved = sum(int(moving(bag.samples).sum()) for bag in [*training, *bags])
-        raise SemiparamError(f'the robot moves in {moved} of {total} samples, which are too few: the initial window '
-                             f'alone takes {settings.initial_samples} of motion, one of each 4 ms (parameter '
-                             'initial.samples).')
     return scores
+
+
+def _why_none(offline: OfflineLearner, settings: Settings, bags: Sequence[LoadedBag], takeovers: Sequence[int]) -> str:
+    """Why the variant itself predicted none of the samples."""
+    from semiparam_ros.core.motion import moving
+
+    total = sum(len(bag.samples) for bag in bags)
+    if offline.learner.failed_windows:
+        return (f'{settings.variant}: no initial window gives hyperparameters, the last one because '
+                f'{offline.learner.failed_windows[-1]}.')
+    if offline.estimator.ready and any(takeovers):
+        return (f'the recordings end, after {total} samples, before the model takes over; expected a smaller '
+                f'--takeover-after than {",".join(map(str, takeovers))}.')
+    moved = sum(int(moving(bag.samples).sum()) for bag in bags)
+    return (f'the robot moves in {moved} of {total} samples, which are too few: the initial window alone takes '
+            f'{settings.initial_samples} of motion, one of each 4 ms (parameter initial.samples).')
 
 
 def _writer_of(rows: list[str], external: ExternalWrench) -> Callable[[Answer, Array], None]:

@@ -32,6 +32,9 @@ FORMS = {'urdf': 'URDF: inertias, friction and damping, loads as fixed links; al
          'gravity-filter': 'weight on the sensor, for the gravity compensation of ros2_control',
          'crisp-friction': 'friction of the joints, for crisp_controllers'}
 
+AT_FLANGE = ('ur-payload', 'franka-desk', 'libfranka')
+"""Those that tell a load in the frame of ``--flange``."""
+
 MOST_SAMPLES = 60_000
 """Number of samples beyond which evenly spread stretches of a recording are read."""
 
@@ -69,6 +72,9 @@ def run(args: argparse.Namespace) -> int:
     from semiparam_ros.settings.robot_description import resolved
 
     paths = {form: _path(args, form) for form in FORMS}
+    if args.flange and not any(paths[form] for form in AT_FLANGE):
+        raise SemiparamError(f'--flange {args.flange} tells where a load is told to a controller, but no file for one '
+                             f'is asked for; expected --{", --".join(AT_FLANGE)} FILE.')
     options.require_places(args.json, *paths.values(), inputs=[args.source, args.params])
     settings = load_params(args.params)
     if settings.robot_description_file:

@@ -489,6 +489,9 @@ def test_wrong_files_end_in_one_sentence(tmp_path, capsys):
     for arguments, sentence in {
             (bag, bag): 'is read, too; expected another name for the output',
             (bag, tmp_path / 'o.mcap', '--topic', '/no'): 'has no topic /no; it has /joint_states',
+            **{(bag, tmp_path / 'o.mcap', '--topic', f'/joint_states={new}'):
+               f'/joint_states is to become {new!r}, which is no name of a topic; expected one such as /joint_states'
+               for new in ('/x=/y', 'x', '/x/', '/1', '/x y', '/ü')},
             (bag, tmp_path / 'o.mcap', '--joint', 'a='): "'a=' is no renaming; expected OLD=NEW",
             (bag, tmp_path / 'o.mcap', '--rate', '5'): '--rate is for text tables'}.items():
         assert sentence in refusal(capsys, 'convert', *arguments)

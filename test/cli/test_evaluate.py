@@ -157,6 +157,9 @@ def test_contacts_are_scored_but_not_learnt(recording, tmp_path):
 
 @pytest.mark.parametrize('arguments, sentence', [
     (['{bag}', '--takeover-after', '130,soon'], '--takeover-after is 130,soon; expected numbers of samples'),
+    (['{bag}', '--takeover-after', '130,' + '9' * 5000], '; expected numbers of samples'),
+    (['{bag}', '--takeover-after', '100000', '--variant', 'P'], 'the recordings end, after 400 samples, before the '
+     'model takes over; expected a smaller --takeover-after than 100000.'),
     (['{bag}', '--frozen'], '--frozen predicts with what was learnt'),
     (['{bag}', '--variant', 'SPQ'], "variant 'SPQ' is unknown"),
     (['{bag}', '--plot', '{folder}/a.xyz', '--variant', 'P'], 'expected a suffix of'),

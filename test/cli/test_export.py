@@ -134,6 +134,8 @@ def test_the_weight_on_a_sensor_is_that_of_one_body(folder, tmp_path, capsys):
      "what is carried at 'r_hand' moves against 'r_upper_arm'; expected a link that is"),
     ('arm.mcap', '--load r_hand --keep-inertias --flange nothing --libfranka x',
      "link 'nothing' is not a link of the robot description"),
+    ('arm.mcap', '--flange nothing --urdf x', '--flange nothing tells where a load is told to a controller, but no '
+     'file for one is asked for; expected --ur-payload, --franka-desk, --libfranka FILE.'),
     ('arm.mcap', '--load nothing', "effect 'payload' cannot act at 'nothing'; expected payload@PLACE"),
     ('arm.mcap', '--urdf nowhere/x', 'cannot write nowhere/x: there is no folder'),
     ('p.yaml', '', 'says what there is, not how much of it; expected a recording or a saved state'),

@@ -31,6 +31,9 @@ TAKEN = (UNIVERSE, SENSOR, ROOT)
 FARTHEST_M = 1e4
 """Of an origin from what it is told of: beyond, numbers lose the digits that inertias need."""
 
+XACRO = '/xacro}'
+"""End of the name space of what is left of a description that was not expanded."""
+
 NO_LIMIT = '1e9'
 
 
@@ -46,6 +49,9 @@ def parse(urdf: str) -> ElementTree.Element:
     except (ElementTree.ParseError, UnicodeEncodeError) as error:
         raise SemiparamError(f'the robot description is not valid XML ({error}); expected a URDF.') from error
     _check_depth(robot)
+    if any(XACRO in str(element.tag) for element in robot.iter()):
+        raise SemiparamError('the robot description is xacro, which is no URDF yet; expand it first, by xacro FILE > '
+                             'FILE.urdf, and give what comes out.')
     if robot.tag != 'robot' or robot.find('link') is None:
         raise SemiparamError(f'the robot description starts with <{robot.tag}> and holds '
                              f'{len(robot.findall("link"))} links; expected a URDF <robot> with at least one.')
