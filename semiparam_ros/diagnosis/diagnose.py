@@ -314,7 +314,7 @@ def _first_model(body: RigidBody, samples: Samples, effects: Sequence[Effect],
                  config: DiagnosisConfig, touched: Sequence[tuple[float, float]]) -> _Start:
     given, kept = samples, in_whole_groups(samples, working_factor(samples, config))
     samples = whole_groups(samples, working_factor(samples, config))
-    require_enough(config, np.ones(len(samples) // working_factor(samples, config), dtype=bool))
+    require_enough(config, np.ones(len(samples) // working_factor(samples, config), dtype=bool), of=given)
     if train_mask is not None:
         may_fit = np.asarray(train_mask)[kept]
     else:
@@ -322,7 +322,7 @@ def _first_model(body: RigidBody, samples: Samples, effects: Sequence[Effect],
     clean = untouched(samples, touched, config) & ~beside_breaks(samples, margin(samples, config))
     inputs, chosen, valid, counted = prepared(body, samples, effects, may_fit, config, clean=clean)
     fitting, held_out = valid & inputs.mask(may_fit), valid & ~inputs.mask(may_fit)
-    require_enough(config, fitting, held_out if other is None else fitting)
+    require_enough(config, fitting, held_out if other is None else fitting, of=given)
     first = starting_fit(body, chosen, effects, fitting, config, counted)
     unvalued = [effect for effect in first.effects if effect.is_calibration and not effect.parameters]
     faster = fast_enough(first, samples, inputs)

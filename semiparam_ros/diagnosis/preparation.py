@@ -152,7 +152,7 @@ def best_inputs(body: RigidBody, samples: Samples, effects: Sequence[Effect], tr
     possible = in_time if samples.acceleration.any() else ESTIMATED
     options = {name: Inputs(name, factor, config.smoothing_ends, lags) for name in OPTIONS if name in possible}
     common = np.all([inputs.mask(train_mask) for inputs in options.values()], axis=0)
-    require_enough(config, common)
+    require_enough(config, common, of=samples)
     outputs = samples.outputs[train_mask]
     scale = residual_scale(outputs - outputs.mean(axis=0), outputs)
     densities: dict[str, Array] = {}
@@ -268,11 +268,27 @@ def late(inputs: Inputs, samples: Samples, filter_declared: bool = False) -> lis
     return sentences
 
 
+def _usual_step(steps: Array, moved: Array, between: Array) -> float:
+    """Time [s] in which a sample follows another: the median of ``steps`` (N,), which is a short one where most arrive
+    together; then that in which the joints, by the velocities between (N, k), ``moved`` as far (N, k) in most of the
+    way, but no more than the mean step, for positions and velocities may be in different units."""
+    forward = steps > 0.0
+    weight = np.sum(between**2, axis=1) * forward
+    if not weight.any():
+        return typical_step(np.append(0.0, np.cumsum(steps)))
+    told = np.sum(moved * between, axis=1)[weight > 0.0] / weight[weight > 0.0]
+    order = told.argsort()
+    way = np.cumsum(weight[weight > 0.0][order])
+    by_velocity = float(told[order][np.searchsorted(way, 0.5 * way[-1])])
+    return max(float(np.median(steps[forward])), min(by_velocity, float(steps[forward].mean())))
+
+
 def bursts(samples: Samples, config: DiagnosisConfig = DEFAULTS) -> list[str]:
     """A sentence where many stamps are those of messages that arrived together: a sample a short step after another
     one lies as far from it, by the velocities, as after any other step."""
     steps, velocity = np.diff(samples.time), samples.velocity
-    typical, between = typical_step(samples.time), 0.5 * (velocity[1:] + velocity[:-1])
+    between = 0.5 * (velocity[1:] + velocity[:-1])
+    typical = _usual_step(steps, np.diff(samples.position, axis=0), between)
     short = (steps > 0.0) & (steps < config.most * typical)
     if short.sum() < config.least_working_samples:
         return []
@@ -283,7 +299,7 @@ def bursts(samples: Samples, config: DiagnosisConfig = DEFAULTS) -> list[str]:
         return []
     return [f'The stamps come in bursts: {short.sum()} samples are stamped less than {1e3 * config.most * typical:.1f}'
             f' ms after the one before, though the joints moved on as in {1e3 * typical:.1f} ms. Have the driver stamp '
-            'when it measures, not when a message arrives: the accelerations are off, and so is what was found.']
+            'when it measures, not when a message arrives: the accelerations are off, and so is whatever is found.']
 
 
 def most_samples(rate_hz: float) -> int:
@@ -291,13 +307,17 @@ def most_samples(rate_hz: float) -> int:
     return DEFAULTS.most_working_samples * max(int(rate_hz / DEFAULTS.working_rate_hz), 1)
 
 
-def require_enough(config: DiagnosisConfig, *masks: Mask) -> None:
-    """Raise SemiparamError when a mask over working samples leaves too few of them."""
+def require_enough(config: DiagnosisConfig, *masks: Mask, of: Samples | None = None) -> None:
+    """Raise SemiparamError when a mask over working samples leaves too few of them.
+
+    :param of: the recording, whose stamps are told as the reason where they come in bursts.
+    """
     fewest = min(int(mask.sum()) for mask in masks)
     if fewest < config.least_working_samples:
+        reasons = ''.join(f' {sentence}' for sentence in bursts(of, config)) if of is not None else ''
         raise SemiparamError(f'{fewest} samples of the recording, averaged to at least {config.working_rate_hz:g} Hz, '
                              'are left beside its ends, gaps, shocks, standstill and what is held out; a diagnosis '
-                             f'needs at least {config.least_working_samples}.')
+                             f'needs at least {config.least_working_samples}.{reasons}')
 
 
 @lru_cache(maxsize=2)

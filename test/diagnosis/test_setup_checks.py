@@ -464,6 +464,40 @@ def test_stamps_of_arrival_are_said_to_come_in_bursts(rate):
     assert sentence.startswith('The stamps come in bursts: 81 samples are stamped less than ')
 
 
+def all_together(samples, count):
+    """All samples arrive ``count`` at a time."""
+    kept = samples[np.arange(len(samples) // count * count)]
+    arrived = kept.stamps.reshape(-1, count)[:, -1:] + 200_000 * np.arange(1 - count, 1)
+    return replace(kept, stamps=arrived.ravel())
+
+
+@pytest.mark.filterwarnings('error')
+@pytest.mark.parametrize('count', [2, 3, 5, 10])
+@pytest.mark.parametrize('rate', [50.0, 500.0])
+def test_stamps_of_which_most_are_of_messages_that_arrived_together_are_the_reason_that_is_told(rate, count):
+    """Only that 0 samples are left: the usual step was taken for the short one of the bursts."""
+    body, samples = simulated('effort', rate_hz=rate, samples=2000)
+    together = all_together(samples, count)
+    sentence, = bursts(together)
+    assert f'samples are stamped less than {500.0 / rate:.1f} ms after the one before' in sentence
+    with pytest.raises(SemiparamError, match=r'a diagnosis needs at least 50\. The stamps come in bursts: .*Have the'):
+        diagnose(body, together)
+    paused = together.stamps + 60 * 10**9 * (np.arange(len(together)) > 1000)
+    assert bursts(replace(together, stamps=paused)), 'after a pause, too'
+
+
+def test_stamps_of_even_steps_are_no_bursts_whatever_the_units_and_pauses():
+    _, samples = simulated('effort', rate_hz=100.0, samples=2000)
+    units = [replace(samples, position=57.3 * samples.position), replace(samples, velocity=57.3 * samples.velocity),
+             replace(samples, velocity=0.0 * samples.velocity)]
+    for each in [samples, *units]:
+        assert bursts(each) == []
+    slower = np.append(np.arange(1000), np.arange(1000, 2000, 8))
+    assert bursts(samples[slower]) == []
+    paused = samples.stamps + 60 * 10**9 * (np.arange(len(samples)) > 1000)
+    assert bursts(replace(samples, stamps=paused)) == []
+
+
 @pytest.mark.filterwarnings('error')
 def test_a_diagnosis_of_stamps_of_arrival_says_so_and_finds_no_late_velocities():
     """An elbow was said to be touched with two million N m, and the velocities to be late."""
