@@ -42,7 +42,7 @@ class MotionBlock(NamedTuple):
 
 
 class BlockSums(NamedTuple):
-    """Those of the samples of a block so far, of the columns themselves: see :class:`MotionBlock`."""
+    """Sums of the samples of a block so far, of the columns themselves: see :class:`MotionBlock`."""
 
     gram: Matrix  # (P, P)
     moment: Vector  # (P,)
@@ -54,7 +54,7 @@ class BlockSums(NamedTuple):
 
     @classmethod
     def none(cls, n_outputs: int, n_columns: int) -> BlockSums:
-        """Those of no sample."""
+        """Return sums of no sample."""
         n, p = n_outputs, n_columns
         return cls(np.zeros((p, p)), np.zeros(p), np.zeros((6, n)), np.zeros((2, n, p)), np.zeros((EDGES, EDGES)),
                    np.zeros(EDGES), np.zeros((EDGES, p)))
