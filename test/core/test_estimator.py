@@ -115,6 +115,18 @@ def test_learning_on_beats_the_model_of_the_initial_window(trained, arm, recordi
     assert learnt < (0.6 if model.variant.pi == 'absent' else 0.3)  # the unmodelled sine has a size of 0.3
 
 
+def test_changes_are_looked_for_by_the_rigid_body_alone(arm, recording):
+    """It stands beside the variant with features, and has the declared effects."""
+    options = ModelOptions(variant='SPK-ML', features_count=20, initial_samples=100)
+    model = Estimator(arm, options, [effect_from_text('sensor_drift')])
+    run(model, recording[:120])
+    prediction = model.predict(recording[120])
+    part, of = model.rigid_body_part(prediction)
+    assert of is model.rigid_body_model is model.ensemble.models[1].model is not model.model
+    assert of.features is None and of.covered.stop == model.columns.n_columns
+    np.testing.assert_array_equal(part.mean, prediction.members[1].mean)
+
+
 def test_predictive_deviations_are_those_of_the_errors(trained, recording):
     _, predictions = trained
     late = predictions[-150:]
