@@ -222,8 +222,8 @@ class SampleStream:
         self._velocity_filter = velocity_filter
         self.velocities_measured = velocity_filter is None
         """Whether the joint states hold velocities now."""
-        self.shared = False
-        """Whether several publish joint states."""
+        self.shared: bool | None = None
+        """Whether several publish joint states; None: nobody counts these, as of a recording, and positions tell."""
         self.whereabouts = Whereabouts()
         self._without = 0
         self._measured: tuple[int, Array] | None = None
@@ -323,6 +323,8 @@ class SampleStream:
 
     def _is_elsewhere(self, stamp: int, position: Sequence[float]) -> bool:
         """Refuse positions that the joints cannot have reached since the last joint state, where several publish."""
+        if self.shared is False:
+            return False
         joint, latest = self.whereabouts.out_of_reach(stamp, position), self.whereabouts.latest
         if joint is None or latest is None:
             return False

@@ -61,15 +61,15 @@ def load_samples(path: str | os.PathLike[str], settings: Table,
     Where joint states tell that several publish them, those of another robot are left out, as in the node.
     A bag without a topic that ``settings`` need, or with no sample at all, raises SemiparamError.
     """
-    loaded, alternates = _load(path, settings, most, shared=False)
+    loaded, alternates = _load(path, settings, most)
     if alternates:
         loaded, _ = _load(path, settings, most, shared=True)
     return loaded
 
 
 def _load(path: str | os.PathLike[str], settings: Table, most: Callable[[float], int] | None,
-          shared: bool) -> tuple[LoadedBag, bool]:
-    """Load (samples of a bag, whether joint states alternate). :param shared: see SampleStream."""
+          shared: bool | None = None) -> tuple[LoadedBag, bool]:
+    """Load the samples of a bag, and tell whether joint states alternate. :param shared: see SampleStream."""
     from semiparam_ros.bags.reader import open_bag  # the node, which shares this module, reads no bags
 
     with open_bag(path) as bag:

@@ -380,3 +380,14 @@ def test_of_several_publishers_one_that_tells_of_another_place_is_refused():
     feed(samples, ('joint_state', good[1] + 15 * MS, JOINTS, (0.0, 1e160), (0.0, 0.0), (0.0, 0.0)))
     assert samples.faults == {'elsewhere': 200, 'not_finite': 1, 'out_of_range': 1}
     assert len(feed(samples, ('joint_state', good[1] + 200 * MS, JOINTS, (0.0, 0.0), (0.0, 0.0), (0.0, 0.0)))) == 1
+
+
+@pytest.mark.parametrize(('shared', 'told'), [(None, True), (False, False)])
+def test_positions_tell_of_several_publishers_where_nobody_counts_them(shared, told):
+    samples = stream(outputs='effort')
+    samples.shared = shared
+    for step in range(10):
+        for late, position in ((0, (1.0, 1.0)), (5, (0.0, 0.0))):
+            stamp = (10 * step + 10 + late) * MS
+            feed(samples, ('joint_state', stamp, JOINTS, position, (0.0, 0.0), (0.0, 0.0)))
+    assert samples.whereabouts.alternate == told and not samples.faults

@@ -17,7 +17,7 @@ from semiparam_ros.cli.evaluate import load_bags
 from semiparam_ros.cli.main import main
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.settings import Settings
-from support.node_helpers import JOINTS, PERIOD_NS, motion, write_bag
+from support.node_helpers import JOINTS, PERIOD_NS, damage_every_chunk, motion, write_bag
 
 STATES, STATE, STRING = '/joint_states', 'sensor_msgs/msg/JointState', 'std_msgs/msg/String'
 SETTINGS = Settings.from_mapping({'joints': list(JOINTS), 'sensor_frame': 'ft'})
@@ -189,15 +189,12 @@ def test_convert_leaves_out_a_type_that_nothing_defines(tmp_path, capsys):
 
 def test_a_recording_without_samples_says_what_is_missing_in_it(tmp_path):
     """Of a bag whose every chunk is damaged, or whose topic is empty, it said that 0 outputs have no joint state."""
-    path = tmp_path / 'a.mcap'
-    write_bag(path, motion(40))
-    data = bytearray(path.read_bytes())
-    with open_bag(path) as bag:
-        for segment in bag._index.segments:
-            data[(segment.offset + segment.end) // 2] ^= 0xff
-    (tmp_path / 'damaged.mcap').write_bytes(data)
+    path, damaged = tmp_path / 'a.mcap', tmp_path / 'damaged.mcap'
+    for each in (path, damaged):
+        write_bag(each, motion(40))
+    damage_every_chunk(damaged)
     with pytest.raises(SemiparamError, match=r'no complete sample .*\): .* is damaged: .* 0 of \d+ messages read'):
-        load_samples(tmp_path / 'damaged.mcap', SETTINGS)
+        load_samples(damaged, SETTINGS)
     with open_bag(path) as bag, BagWriter(tmp_path / 'empty.mcap') as empty:
         for topic, info in bag.topics.items():
             empty.add_topic(topic, info.type, info.qos, info.schema)

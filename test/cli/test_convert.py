@@ -15,7 +15,7 @@ from semiparam_ros.bags.writer import BagWriter
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.settings.snapshot import Settings
 from support.commands import refusal, semiparam
-from support.node_helpers import motion, write_bag
+from support.node_helpers import damage_every_chunk, motion, write_bag
 
 ICUB_JOINTS = ('r_shoulder_pitch', 'r_shoulder_roll', 'r_shoulder_yaw', 'r_elbow')
 TWO_JOINTS = ('--joints', 'hip,knee', '--position', '1-2', '--velocity', '3-4', '--rate', '100')
@@ -128,11 +128,7 @@ def test_a_bag_of_which_nothing_can_be_read_is_not_converted(tmp_path, capsys):
     """An empty bag was written, and the exit code was 0."""
     source = tmp_path / 'in.mcap'
     write_bag(source, motion(20))
-    data = bytearray(source.read_bytes())
-    with open_bag(source) as bag:
-        for segment in bag._index.segments:
-            data[(segment.offset + segment.end) // 2] ^= 0xff
-    source.write_bytes(data)
+    damage_every_chunk(source)
     assert ' 0 of ' in refusal(capsys, 'convert', source, tmp_path / 'out.mcap')
     assert [path.name for path in tmp_path.iterdir()] == ['in.mcap']
 

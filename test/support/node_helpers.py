@@ -11,6 +11,7 @@ import numpy as np
 
 from semiparam_ros.bags import sample_messages
 from semiparam_ros.bags.conversion import write_description
+from semiparam_ros.bags.reader import open_bag
 from semiparam_ros.bags.writer import BagWriter
 from semiparam_ros.core.samples import Sample
 from semiparam_ros.experiments.evaluation import AtOnce
@@ -148,3 +149,12 @@ def write_bag(path, samples, joints=JOINTS, description=URDF, frame='ft', measur
             if not wrench_late_ns or sample is not samples[-1]:
                 sample_messages.wrench(sample.stamp + wrench_late_ns, frame, sample.outputs.tolist()).put(bag)
     return path
+
+
+def damage_every_chunk(path):
+    """Change a byte in the middle of each chunk of a bag."""
+    data = bytearray(path.read_bytes())
+    with open_bag(path) as bag:
+        for segment in bag._index.segments:
+            data[(segment.offset + segment.end) // 2] ^= 0xff
+    path.write_bytes(data)
