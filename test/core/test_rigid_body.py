@@ -319,9 +319,29 @@ def test_efforts_of_some_joints_are_those_rows_of_all(chosen):
     np.testing.assert_allclose(frame_motion(body, motion, name).force_map,
                                frame_motion(every, motion, name).force_map[:, rows], atol=1e-12)
     place = motion.position[3]
-    np.testing.assert_allclose(force_maps(body, place), force_maps(every, place)[:, rows], atol=1e-12)
+    links, whole = list(loaded_links(every)), force_maps(every, place)[:, rows]
+    felt = np.tile([link in loaded_links(body) for link in links], 2)
+    np.testing.assert_allclose(force_maps(body, place), whole[felt], atol=1e-12)
+    np.testing.assert_array_equal(whole[~felt], 0.0)
     with pytest.raises(SemiparamError, match="output_joints names 'wrist'; expected some of the joints turn, lift"):
         RigidBody.from_urdf(ODD_ARM, joints, 'effort', output_joints=['wrist'])
+
+
+@pytest.mark.parametrize('chosen', [('grip',), ('elbow',), ('turn', 'grip'), ('lift',)])
+def test_efforts_feel_the_links_that_their_joints_carry_and_no_others(chosen):
+    """A load, or a wrench from outside, at a link that only other joints carry was accepted, and told as zero."""
+    every = RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, 'effort')
+    body = RigidBody.from_urdf(ODD_ARM, ODD_JOINTS, 'effort', output_joints=chosen)
+    position = np.array([0.3, -0.5, 0.7, 0.2])
+    for name in observed_links(every):
+        pushed = np.abs(ExternalWrench(every, name).outputs_of(position)[[ODD_JOINTS.index(each) for each in chosen]])
+        feels = bool(pushed.max() > 0.0)
+        assert (name in observed_links(body)) is feels
+        assert feels or name not in loaded_links(body)
+        if not feels:
+            for refused in (ExternalWrench, load_transform):
+                with pytest.raises(SemiparamError, match=f"link '{name}' is not a link .* that the outputs feel"):
+                    refused(body, name)
 
 
 def test_a_description_without_inertias_still_has_a_regressor():

@@ -42,17 +42,27 @@ class FrameMotion(NamedTuple):
                              force_map=self.force_map + self.couple_map @ _levers(arm))
 
 
+@remembered
+def _felt_joints(body: RigidBody) -> frozenset[int]:
+    """Joints, by their numbers in the model, that carry what the outputs feel: of efforts, those that a joint whose
+    effort is an output carries, and this joint itself."""
+    if body.distal is not None:
+        return frozenset(range(1, body.distal.njoints))
+    model, measured = body.arm, {body.arm.getJointId(name) for name in body.output_names}
+    return frozenset(joint for joint in range(1, model.njoints) if measured.intersection(model.supports[joint]))
+
+
 def loaded_links(body: RigidBody) -> dict[str, int]:
     """For each body that the outputs feel, the farthest of its links, and the body's number.
 
     These are the places where a load or an outside force can be told from another body's. None is beyond a locked
     joint: what is carried there would move with a finger.
     """
-    model = body.arm if body.distal is None else body.distal
+    model, felt = body.arm if body.distal is None else body.distal, _felt_joints(body)
     links: dict[int, tuple[float, str]] = {}
     for frame in model.frames:
         joint = frame.parentJoint
-        if frame.type != pin.FrameType.BODY or joint == 0 or frame.name in body.held:
+        if frame.type != pin.FrameType.BODY or joint not in felt or frame.name in body.held:
             continue
         reach = float(np.linalg.norm(frame.placement.translation))
         if joint not in links or reach > links[joint][0] + 1e-9:
@@ -74,8 +84,9 @@ def last_links(body: RigidBody) -> list[str]:
 @remembered
 def observed_links(body: RigidBody) -> tuple[str, ...]:
     """Every link that the outputs feel, by name."""
-    model = body.arm if body.distal is None else body.distal
-    return tuple(frame.name for frame in model.frames if frame.type == pin.FrameType.BODY and frame.parentJoint != 0)
+    model, felt = body.arm if body.distal is None else body.distal, _felt_joints(body)
+    return tuple(frame.name for frame in model.frames
+                 if frame.type == pin.FrameType.BODY and frame.parentJoint in felt)
 
 
 def links_beside(body: RigidBody, link: str) -> list[str]:
@@ -203,7 +214,7 @@ def load_transform(body: RigidBody, link: str) -> tuple[int, Array]:
     is not to be written to; raises SemiparamError where the outputs feel none there."""
     model = body.arm if body.distal is None else body.distal
     frame = model.frames[_frame(model, link, body)]
-    if not frame.parentJoint:
+    if frame.parentJoint not in _felt_joints(body):
         raise unfelt(link, body)
     placement = frame.placement
     rotation, shift = placement.rotation, placement.translation
