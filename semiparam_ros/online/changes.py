@@ -186,11 +186,11 @@ class Usual:
         self._squares: deque[Array] = deque(maxlen=USUAL)
         self._noise: deque[float] = deque(maxlen=USUAL)
 
-    def add(self, explained: Array, noise: float) -> None:
+    def add(self, explained: Array, noise: float, level: float) -> None:
         """Add that of one window (c,) that nothing stands out of, and what the whole rigid body explains of
         its innovations."""
         if self.known:
-            self.tail.add(np.sqrt(explained / self.mean))
+            self.tail.add(np.sqrt(explained / self.mean(level)))
         self._squares.append(explained)
         self._noise.append(noise)
 
@@ -199,27 +199,24 @@ class Usual:
         """Return whether there is anything to compare with."""
         return len(self._squares) >= FEWEST
 
-    @property
-    def mean(self) -> Array:
-        """(c,) usual mean squares; noise as the model has it at least."""
-        return np.maximum(np.mean(self._squares, axis=0), 1.0)
+    def mean(self, level: float) -> Array:
+        """(c,) usual mean squares; those of white noise, ``level``, at least."""
+        return np.maximum(np.mean(self._squares, axis=0), level)
 
-    @property
-    def median(self) -> float:
+    def median(self, level: float) -> float:
         """Median that the whole rigid body explains of the usual window, whatever a few others were."""
-        return max(float(np.median([squares[-1] for squares in self._squares])), 1.0)
+        return max(float(np.median([squares[-1] for squares in self._squares])), level)
 
-    @property
-    def noise(self) -> float:
+    def noise(self, level: float) -> float:
         """Median of its innovations."""
-        return max(float(np.median(self._noise)), 1.0)
+        return max(float(np.median(self._noise)), level)
 
-    def ratio(self, explained: Array) -> float:
+    def ratio(self, explained: Array, level: float) -> float:
         """The largest over what stands out; 0 while nothing is known."""
         if not self.known:
             return 0.0
         thresholds, _ = self.tail.thresholds(PER_HOUR / len(LENGTHS))
-        return float((np.sqrt(explained / self.mean) / thresholds).max())
+        return float((np.sqrt(explained / self.mean(level)) / thresholds).max())
 
 
 def _beside(fits: Sequence[CauseFit], alone: Array, rival: Array, counts: Indices) -> list[Array]:
@@ -339,6 +336,10 @@ class ChangeDetector:
         self._power: deque[float] = deque(maxlen=USUAL * max(LENGTHS))
         self._innovations: deque[float] = deque(maxlen=USUAL * max(LENGTHS))
         """Weighed squares of free blocks, and of their innovations."""
+        self._levels: deque[float] = deque(maxlen=USUAL * max(LENGTHS))
+        """Mean squares of a sample of free blocks, over those of the noise that the model has."""
+        self._level = 1.0
+        """Mean squares of white noise at least: those of the model's, or of a sample where it expects more."""
         self._judged = np.zeros(2)
         """Samples so far, and those that begin a step."""
         self._per_block, self._usual_size = 1, 0.0
@@ -352,7 +353,7 @@ class ChangeDetector:
         """Learn anew what is usual: with what was learnt meanwhile another error is."""
         self._former = self._usual if self.knows else self._former
         self._usual, self._model = self._unknown(), None
-        for squares in (self._power, self._innovations):
+        for squares in (self._power, self._innovations, self._levels):
             until_then = [float(np.median(squares))] if squares else []
             squares.clear()
             squares.extend(until_then)
@@ -596,6 +597,7 @@ class ChangeDetector:
             self._power.append(float(block.own[-1].sum()))
             self._usual_size = float(np.sqrt(np.median(self._power) / (self._per_block * len(self._names))))
             self._innovations.append(block.innovation[1])
+            self._follow_level(block)
         if self._held:  # charge what the model from before leaves, with the change that is followed
             left = float(block.own[-1].sum() - self._gained(self.followed)[-1])
             self._compared = COMPARED * self._compared + (left, block.live, 1.0)
@@ -605,6 +607,14 @@ class ChangeDetector:
             self._before.clear()
         self.followed = None
         self._refer()
+
+    def _follow_level(self, block: MotionBlock) -> None:
+        """Take a free block into account in what white noise is at least."""
+        assert self._noise_std is not None
+        expected = float(block.own[0] @ np.square(self._noise_std))
+        if expected > 0.0:  # else all joints rest whose efforts are measured
+            self._levels.append(float(block.own[-1].sum()) / expected)
+            self._level = min(float(np.median(self._levels)), 1.0)
 
     def _outstanding(self, moments: Array) -> list[float]:
         """Ratio by which anything stands out of the last blocks, which have these h (B, K), over each of
@@ -616,9 +626,9 @@ class ChangeDetector:
         found = self._explained(_since([block.gram for block in self._blocks], starts), _since(moments, starts))
         free = self.followed is None and not self.touched
         for length, usual, explained in zip(lengths, self._usual, found, strict=False):
-            ratios.append(usual.ratio(explained))
+            ratios.append(usual.ratio(explained, self._level))
             if free and ratios[-1] < 1.0 and self._count % length == 0:
-                usual.add(explained, self._noise_of(length))
+                usual.add(explained, self._noise_of(length), self._level)
         return ratios
 
     def _left(self, followed: Followed | None) -> Array:
@@ -667,12 +677,12 @@ class ChangeDetector:
     def noise(self) -> float:
         """kappa: the usual mean square of what the whole rigid body explains, over the longest
         windows known."""
-        return next(usual.median for usual in reversed(self._noise_from) if usual.known)
+        return next(usual.median(self._level) for usual in reversed(self._noise_from) if usual.known)
 
     @property
     def innovation_noise(self) -> float:
         """The same of innovations, for what is known to have come."""
-        return next(usual.noise for usual in reversed(self._noise_from) if usual.known)
+        return next(usual.noise(self._level) for usual in reversed(self._noise_from) if usual.known)
 
     def _tell(self, stamp: int) -> Change | None:
         """Return the hypothesis for which what stands out speaks."""
@@ -880,7 +890,7 @@ class ChangeDetector:
             np.sum([getattr(block, name) for block in latest], axis=0)
             for name in ('gram', 'moment')
         )
-        if self._usual[0].ratio(self._explained(gram[None], moment[None])[0]) >= 1.0:
+        if self._usual[0].ratio(self._explained(gram[None], moment[None])[0], self._level) >= 1.0:
             return None
         since = list(self._blocks)[-followed.blocks :]
         starts = np.arange(len(since))
