@@ -140,12 +140,16 @@ class _Sliding(JointEffect):
         """Direction (N,) of sliding in [-1, 1]: the velocity's, or that of a bristle that bends."""
         if 'presliding' in self.parameters:
             return bristle(_way(samples, joint), self.value('presliding'), memory)
-        velocity, change = samples.velocity[:, joint], samples.acceleration[:, joint]
         if samples.averaged_s > 0.0:
-            ahead, turn = velocity + self.value('lead_s') * change, self.value('turn_speed', 0.01)
-            means = _mean_tanh(ahead, 0.5 * samples.averaged_s * np.abs(change), turn)
-            return at_middle(means, samples.stamps, samples.averaged_s, samples.averaged_of), None
-        return self._direction_now(velocity, change), None
+            return self._averaged(samples, joint), None
+        return self._direction_now(samples.velocity[:, joint], samples.acceleration[:, joint]), None
+
+    def _averaged(self, samples: Samples, joint: int, least: float = -np.inf) -> Array:
+        """Direction (N,) of the velocities within each averaged sample, those below ``least`` counted as that."""
+        velocity, change = samples.velocity[:, joint], samples.acceleration[:, joint]
+        ahead, turn = velocity + self.value('lead_s') * change, self.value('turn_speed', 0.01)
+        means = _mean_tanh(ahead, 0.5 * samples.averaged_s * np.abs(change), turn, least)
+        return at_middle(means, samples.stamps, samples.averaged_s, samples.averaged_of)
 
     def _direction_now(self, velocity: Array, acceleration: Array) -> Array:
         """Direction (N,) in [-1, 1] of the velocity (N,), ``lead_s`` ahead."""
@@ -186,14 +190,15 @@ class _Sliding(JointEffect):
         return on_joint(body, self.where, states), memory
 
 
-def _mean_tanh(velocity: Array, reach: Array, turn: float) -> Array:
-    """Mean (N,) of tanh(v / turn) over the velocities within ``reach`` (N,) of ``velocity`` (N,).
+def _mean_tanh(velocity: Array, reach: Array, turn: float, least: float) -> Array:
+    """Mean (N,) of tanh(v / turn) over the velocities within ``reach`` (N,) of ``velocity`` (N,), where v is no less
+    than ``least``, zero or without bound.
 
     A sample that averages over a time holds the friction of all the speeds that the joint passes
     within it.
     """
     reach = np.maximum(reach / turn, SAME_SPEED)
-    fast, slow = velocity / turn + reach, velocity / turn - reach
+    fast, slow = (np.maximum(velocity / turn + side, least) for side in (reach, -reach))
     return np.asarray((_log_cosh(fast) - _log_cosh(slow)) / (2.0 * reach))
 
 
@@ -302,6 +307,14 @@ class AsymmetricFriction(_Sliding):
     def sliding(self, direction: Array, velocity: Array) -> Array:
         return np.column_stack([np.maximum(direction, 0.0), np.minimum(direction, 0.0),
                                 np.maximum(velocity, 0.0), np.minimum(velocity, 0.0)])
+
+    def _states(self, samples: Samples, joint: int, memory: Memory) -> tuple[Array, Memory]:
+        """Columns of which each is averaged by itself: a sample in which the joint turns back holds some of both."""
+        states, memory = super()._states(samples, joint, memory)
+        if samples.averaged_s > 0.0 and 'presliding' not in self.parameters:
+            forward = self._averaged(samples, joint, 0.0)
+            states[:, :2] = np.column_stack([forward, self._averaged(samples, joint) - forward])
+        return states, memory
 
 
 class LoadFriction(_Sliding):
