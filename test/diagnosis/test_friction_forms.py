@@ -169,6 +169,26 @@ def test_an_offset_stays_where_motion_both_ways_tells_it_from_friction(rubs):
     assert with_usual(start, (), KINDS) is start
 
 
+LIFT = RigidBody.from_urdf('<robot name="gantry">' + ''.join([
+    link('base'), link('bridge', 9.0), link('carriage', 4.0),
+    joint('slide', 'prismatic', 'base', 'bridge', axis='1 0 0'),
+    joint('lift', 'prismatic', 'bridge', 'carriage')]) + '</robot>', ('slide', 'lift'), 'effort')
+
+
+@pytest.mark.parametrize(('rotor', 'offset', 'told'), [(10.0, 0.0, 'rotor_inertia'), (0.0, 20.0, 'effort_offset')])
+def test_what_leaves_the_description_as_it_is_comes_before_an_offset(rotor, offset, told):
+    """Of a lift, an offset makes up for the weight of ten kilograms that its rotor is taken for. No block tells these
+    two from the rotor alone: the offset came first and stayed."""
+    motion = smooth_motion(2, COUNT, seed=0, speed=0.5)
+    exact = LIFT.regressors(motion) @ LIFT.base_parameters
+    exact[:, 1] += rotor * motion.acceleration[:, 1] + offset
+    samples = replace(motion, outputs=noisy(exact, 0.01, seed=1), whole=True)
+    start = declare(starting_fit(LIFT, samples, [], EVERYTHING), [EffortOffset('lift')])
+    fit = with_usual(start, (), KINDS)
+    assert [(effect.kind, effect.where) for effect in fit.effects] == [(told, 'lift')]
+    assert fit.theta[-1] == pytest.approx(rotor + offset, rel=0.05)
+
+
 def test_what_the_other_joints_have_comes_as_easily_as_it_stays():
     """Viscous friction that went beside a delay, and was worth two standard errors then, came no more: its joint's dry
     friction was told 8 deviations too large."""

@@ -11,7 +11,7 @@ from semiparam_ros.diagnosis.regression import Fit, with_effects
 from semiparam_ros.diagnosis.search.candidates import Place, added_columns, held, identity, others
 from semiparam_ros.diagnosis.search.plausibility import all_plausible, needed_errors, price, prices, usual
 from semiparam_ros.diagnosis.search.refit import calibrated, declare, remaining, settled, told_by_sliding
-from semiparam_ros.diagnosis.search.score import Gain, gain, gain_of_values, repetition, worth
+from semiparam_ros.diagnosis.search.score import Gain, gain, gain_of_values, repetition, unlikely, worth
 from semiparam_ros.diagnosis.search.scoring import coarse_trial, line_searched
 from semiparam_ros.effects import Effect
 from semiparam_ros.effects.base import Values
@@ -80,23 +80,35 @@ def with_common_forms(fit: Fit, fixed: Collection[Place]) -> Fit:
 
 
 def with_usual(fit: Fit, fixed: Collection[Place], kinds: dict[str, type[Effect]]) -> Fit:
-    """The model with what half of the joints have in place of a rarer cause, unless blocks tell the two apart by more
-    than their odds: a joint that goes one way shows no offset from its dry friction."""
-    common = list(dict.fromkeys(type(effect) for effect in fit.effects if usual(effect, others(fit, effect), fit)))
+    """The model with what joints commonly have in place of a rarer cause that no block tells from it.
+
+    What half of the joints have has to lose by more than its odds: a joint that goes one way shows no offset from its
+    dry friction. Other kinds that come in groups take its place where its values are far from what was known before:
+    an offset of a lift makes up for a rotor that was taken for eight kilograms more of its link.
+    """
     rare = [effect for effect in fit.effects if effect.where is not None and not effect.is_calibration
             and identity(effect) not in fixed and not usual(effect, others(fit, effect), fit)]
     for effect in rare:
         rest = with_effects(fit, others(fit, effect))
-        for kind in common:
-            if (kind.kind, effect.where) in held(rest.effects) or effect.where not in kind.places(fit.body):
+        for kind in kinds.values():
+            if not kind.group or (kind.kind, effect.where) in held(rest.effects) \
+                    or effect.where not in kind.places(fit.body):
                 continue
             trial = coarse_trial(rest, kind, effect.where)
             if trial is not None:
                 after = bent(declare(rest, [trial.effect]), [identity(trial.effect)], kinds)
-                dearer = prices([effect], rest, kinds) - prices([trial.effect], rest, kinds)
-                if not gain(after, fit).exceeds(dearer, fit.config.sure) and all_plausible(fit, after):
+                if _likelier_beforehand(fit, after, effect, trial.effect, kinds) and all_plausible(fit, after):
                     return pruned(after, fixed, kinds)
     return fit
+
+
+def _likelier_beforehand(fit: Fit, after: Fit, effect: Effect, other: Effect, kinds: Collection[str]) -> bool:
+    """Return whether the model ``after`` with another effect in place of one is the likelier one beforehand, by strong
+    evidence, and no blocks outweigh that. Their densities, each given all the others, hardly hold the prior's."""
+    rest = with_effects(fit, others(fit, effect))
+    dearer = prices([effect], rest, kinds) - prices([other], rest, kinds) + unlikely(fit) - unlikely(after)
+    errors = fit.config.sure if usual(other, rest.effects, fit) else 0.0
+    return dearer > math.log(fit.config.better_odds) and not gain(after, fit).exceeds(dearer, errors)
 
 
 def _losses(fit: Fit, effect: Effect, forms: Sequence[Values]) -> list[float]:

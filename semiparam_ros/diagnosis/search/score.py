@@ -217,6 +217,15 @@ def _views(fit: Fit) -> list[Indices]:
     return [none, fit.n_columns - 1 - np.arange(errors)][:1 + bool(errors)]
 
 
+def unlikely(fit: Fit) -> float:
+    """[nat] minus the log prior density of a model's values, but for a constant: how far they are from what was known.
+    """
+    declared = {identity(effect): calibrated_values(effect) for effect in fit.declared}
+    moved = [(calibrated_values(effect) - declared.get(identity(effect), 0.0)) / effect.calibration_scale(fit.body)
+             for effect in fit.effects if effect.is_calibration]
+    return 0.5 * float(np.sum(np.concatenate([(fit.theta - fit.prior_mean()) / fit.prior_deviation, *moved]) ** 2))
+
+
 def repetition(fit: Fit) -> Array:
     """(n,) how many samples of each channel count as one: those over which the model's residual stays alike."""
     return coarsened(fit.correlation, fit.counts, fit.config)
