@@ -493,6 +493,23 @@ def test_units_along_a_joint_that_slides():
     assert icub().output_units == ('N',) * 3 + ('N m',) * 3
 
 
+@pytest.mark.parametrize(('joints', 'locked', 'offset', 'told'), [
+    (ODD_JOINTS, {}, '', True), ((*ODD_JOINTS, 'grip_mimic'), {}, '', False),
+    (ODD_JOINTS[:3], {}, '', False), (ODD_JOINTS[:3], {}, 'offset="0.2"', True),
+    (ODD_JOINTS[:3], {'grip': 0.3}, '', True), (ODD_JOINTS[:3], {'grip': 0.3, 'grip_mimic': -0.3}, '', False)])
+def test_a_mimic_joint_that_is_held_elsewhere_than_its_leader_puts_it_is_told(joints, locked, offset, told):
+    """A palletiser's wrist, held level by a mimic of the elbow, had half its mass and a joint 9 degrees off."""
+    urdf = ODD_ARM.replace('multiplier="-1"', f'multiplier="-1" {offset}')
+    remark = RigidBody.from_urdf(urdf, joints, 'effort', locked=locked).remark
+    assert ('joints that mimic others, grip_mimic (of grip), but are held where' in remark) == told
+    assert bool(remark) == told
+
+
+def test_a_mimic_joint_that_follows_by_no_number_is_refused():
+    with pytest.raises(SemiparamError, match='joint \'grip_mimic\' has mimic multiplier="x"; expected 1 finite number'):
+        RigidBody.from_urdf(ODD_ARM.replace('multiplier="-1"', 'multiplier="x"'), ODD_JOINTS, 'effort')
+
+
 @pytest.mark.parametrize(('outputs', 'frame'), [('effort', None), ('wrench', 'mid_link_ft')])
 @pytest.mark.parametrize('joints', [('lift', 'turn', 'elbow'), ('turn', 'elbow', 'grip')])
 def test_a_load_hangs_on_no_link_beyond_a_locked_joint(joints, outputs, frame):

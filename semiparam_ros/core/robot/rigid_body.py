@@ -5,7 +5,8 @@ zero: its efforts are the wrench, its six rows of the joint-torque regressor are
 efforts take the regressor of the arm. Columns are reduced to the identifiable combinations, an orthonormal
 basis of the row space: a prior gamma^2 I on all inertial parameters stays gamma^2 I on the base parameters.
 
-A mimic joint is a joint like any other: it stays where ``locked`` puts it.
+A mimic joint is a joint like any other: it stays where ``locked`` puts it, and ``remark`` says so where its leader does
+not.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from semiparam_ros.core.robot.arm_motion import FEW, effort_regressors
 from semiparam_ros.core.robot.joint_units import sliding
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array, Indices
-from semiparam_ros.errors import SemiparamError, listed
+from semiparam_ros.errors import SemiparamError
 
 GRAVITY = np.array([0.0, 0.0, -9.81])
 SENSOR, ROOT = urdf_tree.SENSOR, urdf_tree.ROOT
@@ -148,12 +149,12 @@ class RigidBody:
 
     def __init__(self, arm: pin.Model, distal: pin.Model | None, frame: str | None, joints: Sequence[str],
                  sign: float, output_joints: Sequence[str] = (), held: Collection[str] = (),
-                 unfollowed: Sequence[str] = ()) -> None:
+                 remark: str = '') -> None:
         self.joints = tuple(joints)
         self.held = frozenset(held)
         """Links beyond a locked joint: here they are fixed to the body before it."""
-        self.unfollowed = tuple(unfollowed)
-        """Joints that are floating or planar, which are held at zero."""
+        self.remark = remark
+        """Sentences about joints that are held where they may not be; '' without any."""
         self.output_index: Indices = np.array([index for index, name in enumerate(joints) if name in output_joints],
                                               dtype=np.int64)
         """(n,) numbers of the joints whose efforts are the outputs; of a wrench (0,)."""
@@ -174,14 +175,6 @@ class RigidBody:
         self.basis = self._identifiable_basis()
         self._unfelt = null_space(self.basis.T)
         self._reduce_by(self.basis)
-
-    @property
-    def remark(self) -> str:
-        """A sentence about joints that no joint state can follow; '' without any."""
-        if not self.unfollowed:
-            return ''
-        return (f'the robot description has joints that are floating or planar, {listed(self.unfollowed)}, which are '
-                'held at zero, for no joint state follows them. Where they move, what is predicted and found is wrong.')
 
     def __getstate__(self) -> dict[str, object]:
         """All but pinocchio's scratch memory, which is nine tenths of it and takes milliseconds to write as text, and
@@ -227,12 +220,11 @@ class RigidBody:
         urdf_tree.check_joints(robot, joints)
         locked = dict(locked or {})
         check_locked(joints, locked)
-        whole, unfollowed = build(robot), urdf_tree.unfollowed_joints(robot)
+        whole, remark = build(robot), urdf_tree.remark(robot, joints, locked)
         arm = reduced(whole, joints, locked)
         if outputs == 'effort':
             urdf_tree.check_output_joints(joints, output_joints)
-            return cls(arm, None, None, joints, 1.0, output_joints or joints, held_links(whole, joints),
-                       unfollowed)
+            return cls(arm, None, None, joints, 1.0, output_joints or joints, held_links(whole, joints), remark)
         if not sensor_frame:
             raise SemiparamError('sensor_frame is empty; a wrench needs the link or joint that carries the sensor.')
         link = urdf_tree.sensor_link(robot, sensor_frame)
@@ -243,7 +235,7 @@ class RigidBody:
         distal = reduced(hanging, inside & set(joints),
                          {name: value for name, value in locked.items() if name in inside}, keep_root=True)
         return cls(arm, distal, sensor_frame, joints, CONVENTIONS[convention], held=held_links(hanging, joints),
-                   unfollowed=unfollowed)
+                   remark=remark)
 
     @property
     def n_joints(self) -> int:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
-from semiparam_ros.errors import SemiparamError
+from semiparam_ros.errors import SemiparamError, listed
 
 MOST_LINKS, MOST_JOINTS = 1000, 200
 """Of a robot, and those that move: a humanoid with its fingers has a hundred. More would take minutes and gigabytes."""
@@ -14,6 +14,7 @@ MOST_LINKS, MOST_JOINTS = 1000, 200
 MOVING = ('revolute', 'continuous', 'prismatic')
 TYPES = (*MOVING, 'fixed', 'floating', 'planar')
 NUMBERS = {'origin': {'xyz': 3, 'rpy': 3}, 'axis': {'xyz': 3}, 'mass': {'value': 1},
+           'mimic': {'multiplier': 1, 'offset': 1},
            'inertia': dict.fromkeys(('ixx', 'ixy', 'ixz', 'iyy', 'iyz', 'izz'), 1)}
 
 IGNORED = {'link': ('visual', 'collision'), 'joint': ('dynamics',)}
@@ -35,6 +36,8 @@ XACRO = '/xacro}'
 """End of the name space of what is left of a description that was not expanded."""
 
 NO_LIMIT = '1e9'
+SAME_PLACE = 1e-9
+"""[rad, m] Rounding of a joint's position."""
 
 
 def parse(urdf: str) -> ElementTree.Element:
@@ -76,6 +79,36 @@ def joint_types(robot: ElementTree.Element) -> dict[str, str]:
 def unfollowed_joints(robot: ElementTree.Element) -> tuple[str, ...]:
     """Names of the joints that may move, but have no single position that a joint state could hold."""
     return tuple(name for name, kind in joint_types(robot).items() if kind not in (*MOVING, 'fixed'))
+
+
+def misled_joints(robot: ElementTree.Element, joints: Sequence[str], locked: Mapping[str, float]) -> tuple[str, ...]:
+    """Names of the mimic joints that are held elsewhere than their leaders put them, each with its leader."""
+    found, types = list[str](), joint_types(robot)
+    for joint in robot.findall('joint'):
+        name, mimic = str(joint.get('name')), joint.find('mimic')
+        leader = '' if mimic is None else str(mimic.get('joint'))
+        if mimic is None or name in joints or types.get(leader) not in MOVING:
+            continue
+        multiplier, offset = float(mimic.get('multiplier', 1.0)), float(mimic.get('offset', 0.0))
+        place = multiplier * locked.get(leader, 0.0) + offset
+        if leader in joints or not math.isclose(place, locked.get(name, 0.0), abs_tol=SAME_PLACE):
+            found.append(f'{name} (of {leader})')
+    return tuple(found)
+
+
+def remark(robot: ElementTree.Element, joints: Sequence[str], locked: Mapping[str, float]) -> str:
+    """Sentences about joints that are held where they may not be; '' without any."""
+    loose, misled, sentences = unfollowed_joints(robot), misled_joints(robot, joints, locked), list[str]()
+    if loose:
+        sentences.append(f'the robot description has joints that are floating or planar, {listed(loose)}, which are '
+                         'held at zero, for no joint state follows them. Where they move, what is predicted and found '
+                         'is wrong.')
+    if misled:
+        sentences.append(f'the robot description has joints that mimic others, {listed(misled)}, but are held where '
+                         'these do not put them. Where they move a mass, what is predicted and found is wrong; '
+                         'expected them among joints, with joint states that hold their positions, or, beside a leader '
+                         'that is locked, among locked_joints.')
+    return ' '.join(sentences)
 
 
 def check_joints(robot: ElementTree.Element, joints: Sequence[str]) -> None:
