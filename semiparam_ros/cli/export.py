@@ -142,7 +142,7 @@ def _of_state(args: argparse.Namespace, settings: Settings) -> Estimate:
                                   args.keep_inertias, str(args.source))
     else:
         estimate = from_estimator(saved.estimator, samples, str(args.source))
-    return with_known(estimate, changes.applied)
+    return with_known(estimate, changes.applied)._replace(bias=saved.bias)
 
 
 def _of_recording(args: argparse.Namespace, settings: Settings) -> tuple[Estimate, str]:

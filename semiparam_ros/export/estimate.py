@@ -60,7 +60,7 @@ class Estimate(NamedTuple):
     :param how: what it is from, as a phrase. :param top_speed: (n_joints,) largest velocities seen
         [rad/s, m/s]. :param table: samples that judge it.
     :param held_out: whether it can be fitted anew without the samples that judge.
-    :param origin: stamp [ns] from which its time counts.
+    :param origin: stamp [ns] from which its time counts. :param bias: (n,) of a tare, which its outputs are without.
     """
 
     columns: CoupledColumns
@@ -71,6 +71,7 @@ class Estimate(NamedTuple):
     table: SampleTable | None = None
     held_out: bool = False
     origin: int = 0
+    bias: Array | None = None
 
     @property
     def starts(self) -> dict[int, float]:

@@ -150,8 +150,7 @@ def identify(estimate: Estimate, described: Mapping[str, Array],
               for joint, name, weights in solution.dynamics]
     found = [CarriedBody(link, parameters, _std(covariance, block.start), estimate.starts.get(block.start))
              for (link, block), parameters in zip(solution.loads, loads, strict=True)]
-    offsets = dict(zip(columns.body.output_names, theta[columns.blocks['offset']].tolist(),
-                       strict=False))  # none without joint friction
+    offsets = dict(zip(columns.body.output_names, _offsets(estimate, theta), strict=False))
     speeds = dict(zip(columns.body.joints, estimate.top_speed.tolist(), strict=True))
     return Identified(estimate.how, links, solution.described, solution.mended, joints, found,
                       solution.not_shown, offsets, _left_out(columns, theta), speeds, price,
@@ -168,6 +167,14 @@ def identified_load(body: RigidBody, parameters: Array, covariance: Array) -> Ar
     information = np.linalg.pinv(covariance / np.outer(std, std), hermitian=True)
     near = Body(made_consistent(parameters, size_of(body).length), np.eye(10))
     return np.asarray(consistent_bodies(parameters, root_of(information) / std, [near])[0])
+
+
+def _offsets(estimate: Estimate, theta: Array) -> list[float]:
+    """Offsets of the outputs as they were measured; none of efforts without joint friction, unless a tare took some."""
+    offset, bias = theta[estimate.columns.blocks['offset']], estimate.bias
+    if bias is not None and bias.any():
+        offset = offset + bias if len(offset) else bias
+    return list(map(float, offset))
 
 
 def _std(covariance: Array, index: int) -> float:

@@ -15,6 +15,8 @@ from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.effects import effect_from_text
 from semiparam_ros.export.urdf import described_links
 from semiparam_ros.online import state_file
+from semiparam_ros.online.tare import Tare
+from semiparam_ros.ros.estimator.consistent import learnt
 from semiparam_ros.settings import load_params
 from semiparam_ros.settings.build import build_rigid_body
 from support.arms import smooth_motion
@@ -205,6 +207,18 @@ def test_a_saved_state_is_exported_as_it_was_learnt(folder, tmp_path, capsys):
     assert kept['held_out'] and not learnt['held_out']
     assert kept['consistent'] == pytest.approx(recorded['errors']['consistent'], rel=0.02)
     assert models[2]['loads'] and not any(link['changed'] for link in models[2]['links'].values())
+
+
+@pytest.mark.parametrize('options', [(), ('--kept-samples',)])
+def test_offsets_are_those_of_the_sensor_whatever_a_tare_took_of_them(folder, tmp_path, options):
+    """The model of a node that was tared holds what is left: 2 N less than nothing."""
+    settings, stage = staged(tmp_path / 'p.yaml')
+    stage.learner.tare = Tare(6, np.full(6, 3.0))
+    stage.offer(load_samples(folder / 'arm.mcap', settings).samples)
+    state_file.save(tmp_path / 's.npz', stage.learner.state())
+    found = document(tmp_path / 's.json', 'export', tmp_path / 's.npz', '--params', tmp_path / 'p.yaml', *options)
+    assert list(found['offsets'].values()) == pytest.approx([1.0] * 6, abs=0.3)
+    assert learnt(stage.learner, 'a node').bias == pytest.approx([3.0] * 6)
 
 
 def test_kept_samples_are_fitted_with_the_friction_that_their_state_has(tmp_path):

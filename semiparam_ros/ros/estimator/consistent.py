@@ -41,7 +41,7 @@ def learnt(learner: Learner, name: str) -> Estimate:
     if load is not None:
         std = np.sqrt(np.diag(load.covariance))
         known.append(KnownEffect(0, Payload(load.link), load.parameters, std))
-    return with_known(from_estimator(learner.estimator, None, name), known)
+    return with_known(from_estimator(learner.estimator, None, name), known)._replace(bias=learner.tare.bias)
 
 
 class ConsistentBodies(NamedTuple):
