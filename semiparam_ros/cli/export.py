@@ -84,7 +84,7 @@ def run(args: argparse.Namespace) -> int:
     estimate, urdf = _estimate(args, settings)
     found = identify(estimate, described_links(urdf), args.keep_inertias)
     body = estimate.columns.body
-    written = {path: _text(form, body, urdf, found, args.flange)
+    written = {path: _text(form, body, urdf, found, args.flange, settings.tools)
                for form, path in paths.items() if path}
     for path, text in written.items():
         write_text(path, text)
@@ -175,7 +175,7 @@ def _require_right_setup(args: argparse.Namespace, body: RigidBody, samples: Sam
             raise SemiparamError(f'{args.source}: {problem.sentence}')
 
 
-def _text(form: str, body: RigidBody, urdf: str, found: Identified, flange: str | None) -> str:
+def _text(form: str, body: RigidBody, urdf: str, found: Identified, flange: str | None, tools: Sequence[str]) -> str:
     """Text of a file of one form."""
     from semiparam_ros.export import controllers
     from semiparam_ros.export.mjcf import identified_mjcf
@@ -189,6 +189,6 @@ def _text(form: str, body: RigidBody, urdf: str, found: Identified, flange: str 
         'ur-payload': lambda: controllers.ur_script(controllers.load_at(body, found, flange), heading),
         'franka-desk': lambda: controllers.franka_desk(controllers.load_at(body, found, flange)),
         'libfranka': lambda: controllers.libfranka(controllers.load_at(body, found, flange), heading),
-        'gravity-filter': lambda: controllers.gravity_filter(body, found, heading),
+        'gravity-filter': lambda: controllers.gravity_filter(body, found, heading, tools),
         'crisp-friction': lambda: controllers.crisp_friction(found, heading)}
     return texts[form]()

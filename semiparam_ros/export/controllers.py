@@ -21,6 +21,7 @@ from scipy.optimize import curve_fit
 
 from semiparam_ros.core.robot.frames import load_seen_from, observed_links
 from semiparam_ros.core.robot.rigid_body import GRAVITY, RigidBody
+from semiparam_ros.core.robot.tools import tool_from_text
 from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError, listed
 from semiparam_ros.export.identified import CarriedBody, Identified
@@ -94,17 +95,19 @@ def libfranka(load: CarriedBody, remark: str) -> str:
             f'robot.setLoad({number(load.mass)}, {{{{{centre}}}}}, {{{{{inertia}}}}});\n')
 
 
-def gravity_filter(body: RigidBody, found: Identified, remark: str) -> str:
+def gravity_filter(body: RigidBody, found: Identified, remark: str, tools: Sequence[str] = ()) -> str:
     """Parameters of the filter, for everything that hangs on the sensor. Its world is the root of the
     robot description, along whose z axis gravity acts: no other frame is known to be there.
+
+    :param tools: texts of known ones, which nothing that was found holds, but the sensor feels.
 
     Raises SemiparamError unless a wrench is measured, and what hangs on the sensor is one body.
     """
     require_possible('gravity-filter', body)
     links = [CarriedBody(name, values, 0.0) for name, values in found.links.items()
              if name in observed_links(body)]
-    frame = _sensor_link(body)
-    tool = _as_one(body, [*links, *found.loads], frame)
+    frame, known = _sensor_link(body), map(tool_from_text, tools)
+    tool = _as_one(body, [*links, *found.loads, *(CarriedBody(*each, 0.0) for each in known)], frame)
     root = next(each.name for each in body.arm.frames if each.type == pin.FrameType.BODY)
     parameters = {'world_frame': root, 'sensor_frame': frame, 'tool': {
         'CoG': tool.centre.tolist(), 'mass': tool.mass,

@@ -128,6 +128,21 @@ def test_the_weight_on_a_sensor_is_that_of_one_body(folder, tmp_path, capsys):
     assert parameters['tool']['mass'] == pytest.approx(1.2 * described, rel=0.1)
 
 
+def test_known_tools_are_part_of_the_weight_on_a_sensor(folder, tmp_path):
+    """They are taken off the samples, but no filter of a raw wrench does so."""
+    locked = (PARAMS.replace(', r_elbow', '')
+              + '    locked_joints.names: [r_elbow]\n    locked_joints.positions: [1.0]\n')
+    known = '    tools: [\'r_hand {"mass": 0.2, "centre": [0.0, 0.02, 0.05]}\']\n'
+    found = []
+    for text in ('', known):
+        (folder / 'weight.yaml').write_text(locked + text)
+        assert export(folder, '--gravity-filter', tmp_path / 'f.yaml', params='weight.yaml') == 0
+        found.append(yaml.safe_load((tmp_path / 'f.yaml').read_text())['sensor_filter_chain']['filter1']['params'])
+    bare, with_tool = (each['tool'] for each in found)
+    assert with_tool['mass'] == pytest.approx(bare['mass'], rel=0.02)
+    assert with_tool['CoG'] == pytest.approx(bare['CoG'], abs=0.01)
+
+
 @pytest.mark.parametrize('source, options, sentence', [
     ('arm.mcap', '--ur-payload x', 'no load is known; expected a payload among the effects'),
     ('arm.mcap', '--load r_hand --ur-payload x', 'the samples show no load at r_hand: there is none to write.'),
