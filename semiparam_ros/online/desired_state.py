@@ -9,7 +9,7 @@ the same proximal links plus J'w_0. Hence
     tau = rnea(q, dq, ddq) + J(q)' (w - w_0).
 
 What is the sensor's own (its offset, a drift, gains) is no part of w: motors must not follow it.
-Joints distal of the sensor have no column in J: their torques stay those of the description.
+Joints distal of the sensor have no column in J: their torques stay those of the description, and of known tools.
 """
 
 from __future__ import annotations
@@ -54,20 +54,20 @@ class Desired(NamedTuple):
 
 
 def desired(estimator: Estimator, position: Array, velocity: Array, acceleration: Array,
-            added: tuple[Array, Array] | None = None) -> Desired:
+            added: tuple[Array, Array] | None = None, beyond: Array | None = None) -> Desired:
     """Answer of the model to a desired state (n_joints,) each. Nothing is learnt.
 
     :param added: (n,) what known bodies add that the model has not learnt, as the sensor shows it, and as the arm
-        needs it.
+        needs it. :param beyond: (n_joints,) torques that they take of joints beyond the sensor, which it does not show.
 
     Raises SemiparamError when a value, or what follows from it, is not finite.
     """
     row = position, velocity, acceleration
-    return _answer(estimator, row, estimator.predict_desired(*row), False, added)
+    return _answer(estimator, row, estimator.predict_desired(*row), False, added, beyond)
 
 
 def described(estimator: Estimator, position: Array, velocity: Array, acceleration: Array,
-              added: tuple[Array, Array] | None = None) -> Desired:
+              added: tuple[Array, Array] | None = None, beyond: Array | None = None) -> Desired:
     """Answer of the robot description alone; its inertial parameters are taken for known to ``DESCRIBED_TO``.
 
     Raises SemiparamError when a value, or what follows from it, is not finite.
@@ -79,7 +79,7 @@ def described(estimator: Estimator, position: Array, velocity: Array, accelerati
     uncertain = DESCRIBED_TO * regressor * base_scale(body)
     covariance = uncertain @ uncertain.T
     require_finite('described outputs of a desired state', np.concatenate([outputs, covariance.diagonal()]))
-    return _answer(estimator, row, DesiredOutputs(outputs, outputs, covariance, 0.0), True, added)
+    return _answer(estimator, row, DesiredOutputs(outputs, outputs, covariance, 0.0), True, added, beyond)
 
 
 def outside_of_the_learnt(estimator: Estimator, row: tuple[Array, Array, Array]) -> tuple[str, ...]:
@@ -94,7 +94,7 @@ def outside_of_the_learnt(estimator: Estimator, row: tuple[Array, Array, Array])
 
 
 def _answer(estimator: Estimator, row: tuple[Array, Array, Array], found: DesiredOutputs, described: bool,
-            added: tuple[Array, Array] | None) -> Desired:
+            added: tuple[Array, Array] | None, beyond: Array | None) -> Desired:
     body, outside = estimator.body, outside_of_the_learnt(estimator, row)
     if added is not None:
         shown, needed = added
@@ -106,6 +106,8 @@ def _answer(estimator: Estimator, row: tuple[Array, Array, Array], found: Desire
         wanted, jacobian = joint_torques(body, *row, found.needed)
         if not described:
             wanted, jacobian = _corrected(estimator, row, found.needed, wanted, jacobian)
+        if beyond is not None:
+            wanted = wanted + beyond
         wanted_std = np.sqrt(np.einsum('ij,ik,kj->j', jacobian, found.covariance, jacobian).clip(0.0))
         require_finite('efforts of a desired state', np.concatenate([wanted, wanted_std]))
     efforts = wanted.clip(-body.effort_limits, body.effort_limits)

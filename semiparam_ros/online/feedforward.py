@@ -50,7 +50,8 @@ class Feedforward:
             raise WithheldError(self.withheld)
         self.withheld = ''
         answer = desired if ready else described
-        found = answer(learner.estimator, *row, added=learner.added_to_desired(*row))
+        found = answer(learner.estimator, *row, added=learner.added_to_desired(*row),
+                       beyond=learner.tools.beyond_sensor(*row))
         doubtful = ready and is_doubtful(found)
         for name, holds in (('answered', True), ('described', found.described),
                             ('limited', bool(found.limited.any())), ('doubtful', doubtful)):

@@ -222,6 +222,24 @@ def test_desired_efforts_carry_the_tools():
     np.testing.assert_allclose(found.efforts, wanted[with_tool.arm_columns], atol=1e-9)
 
 
+@pytest.mark.parametrize(('joints', 'convention'), [
+    (JOINTS, 'action'), (JOINTS, 'reaction'), ((*JOINTS[4:], *JOINTS[:4]), 'action'), (JOINTS[4:5], 'action')])
+def test_desired_efforts_of_joints_beyond_the_sensor_carry_the_tools_too(joints, convention):
+    """They were those of the description alone, to a deviation of 0: half of the torque of a wrist with its tool."""
+    strong = chain().replace('effort="9"', 'effort="900"')
+    settings = replace(SETTINGS, robot_description=strong, joints=joints, sensor_frame='sensor',
+                       wrench_convention=convention)
+    heavy = build_rigid_body(replace(settings, robot_description=strong.replace(
+        '</robot>', SNIPPET.replace('<link name="ft"/>', '', 1).replace('"ft"', '"tip"') + '</robot>')))
+    tools = Tools(build_rigid_body(settings), [TEXT.replace('ft', 'tip', 1)])
+    state = np.random.default_rng(1).normal(0, 1.0, (3, len(joints)))
+    added = tools.outputs(*state)
+    found = described(build_estimator(settings), *state, added=(added, added), beyond=tools.beyond_sensor(*state))
+    wanted = np.array(pin.rnea(heavy.arm, heavy.arm.createData(), *(heavy.arm_vector(values) for values in state)))
+    np.testing.assert_allclose(found.efforts, wanted[heavy.arm_columns], atol=1e-9)
+    assert Tools(BODY, [TEXT]).beyond_sensor(*np.zeros((3, 2))) is None
+
+
 def test_a_declared_load_that_acts_and_a_sensors_drift_are_part_of_what_is_taken_off():
     settings = replace(SETTINGS, variant='P', effects=('payload@ft{"start_s": 1.0}', 'sensor_drift'))
     estimator, samples = build_estimator(settings), motion(200)

@@ -212,13 +212,25 @@ def nearest_link(body: RigidBody, link: str, point: Array) -> tuple[str, Array]:
 def load_transform(body: RigidBody, link: str) -> tuple[int, Array]:
     """Number of the body that carries ``link``, and the (10, 10) map of inertial parameters from link to body, which
     is not to be written to; raises SemiparamError where the outputs feel none there."""
-    model = body.arm if body.distal is None else body.distal
+    return _carried_by(body.arm if body.distal is None else body.distal, body, link)
+
+
+def _carried_by(model: pin.Model, body: RigidBody, link: str) -> tuple[int, Array]:
+    """The same of one of the body's models."""
     frame = model.frames[_frame(model, link, body)]
     if frame.parentJoint not in _felt_joints(body):
         raise unfelt(link, body)
     placement = frame.placement
     rotation, shift = placement.rotation, placement.translation
     return frame.parentJoint - 1, np.column_stack([_moved(unit, rotation, shift) for unit in np.eye(10)])
+
+
+def load_in_arm(body: RigidBody, link: str, parameters: Array) -> Array:
+    """(10 n,) what a body with inertial parameters (10,) in the frame of ``link`` adds to those of all n bodies."""
+    index, transform = _carried_by(body.arm, body, link)
+    added = np.zeros((body.arm.njoints - 1, 10))
+    added[index] = transform @ parameters
+    return added.ravel()
 
 
 def load_seen_from(body: RigidBody, link: str, carrier: str) -> Array | None:

@@ -265,6 +265,12 @@ class RigidBody:
         return tuple(self.joint_unit(joint, 'N m') for joint in self.output_names)
 
     @cached_property
+    def beyond_sensor(self) -> Indices:
+        """Numbers of the joints that move what hangs on a wrench sensor, but not the sensor."""
+        beyond = () if self.distal is None else tuple(self.distal.names)
+        return np.array([index for index, name in enumerate(self.joints) if name in beyond], dtype=np.int64)
+
+    @cached_property
     def prismatic(self) -> frozenset[str]:
         """Names of the joints that slide."""
         models = ((joint, self.arm.joints[self.arm.getJointId(joint)]) for joint in self.joints)

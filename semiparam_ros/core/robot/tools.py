@@ -16,7 +16,7 @@ import pinocchio as pin
 
 from semiparam_ros.core import json_text
 from semiparam_ros.core.robot import urdf as urdf_tree
-from semiparam_ros.core.robot.frames import load_in_base
+from semiparam_ros.core.robot.frames import load_in_arm, load_in_base
 from semiparam_ros.core.robot.rigid_body import RigidBody, build
 from semiparam_ros.core.samples import Sample
 from semiparam_ros.core.types import Array
@@ -48,9 +48,11 @@ class Tools:
         """Raises SemiparamError for a text that is no tool, or a link that the outputs do not feel."""
         self._body, self.texts = body, tuple(texts)
         self.parameters: Array = np.zeros(body.n_parameters)
+        self._in_arm: Array = np.zeros(10 * (body.arm.njoints - 1))
         for text in texts:
             tool = tool_from_text(text)
             self.parameters += load_in_base(body, tool.link, tool.parameters)
+            self._in_arm = self._in_arm + load_in_arm(body, tool.link, tool.parameters)
 
     def taken_off(self, sample: Sample) -> tuple[Sample, Array | None]:
         """The sample without what they add to its outputs (n,), and that; None where there are none."""
@@ -62,6 +64,19 @@ class Tools:
     def outputs(self, position: Array, velocity: Array, acceleration: Array) -> Array:
         """(n,) what they add at a state (n_joints,)."""
         return np.asarray(self._body.regressor(position, velocity, acceleration) @ self.parameters)
+
+    def beyond_sensor(self, position: Array, velocity: Array, acceleration: Array) -> Array | None:
+        """(n_joints,) torques that they take of joints beyond a wrench sensor, at a state (n_joints,), and zero for all
+        others; None where there are none. The wrench tells nothing of these joints, but a known body does."""
+        body = self._body
+        if not self.texts or not len(body.beyond_sensor):
+            return None
+        vectors = (body.arm_vector(values) for values in (position, velocity, acceleration))
+        rows = pin.computeJointTorqueRegressor(body.arm, body.arm.createData(), *vectors)
+        whole = np.atleast_1d(rows @ self._in_arm)  # of one joint it is a vector
+        torques = np.zeros(body.n_joints)
+        torques[body.beyond_sensor] = whole[body.arm_columns[body.beyond_sensor]]
+        return torques
 
 
 def tool_from_text(text: str) -> Tool:
