@@ -26,7 +26,7 @@ from semiparam_ros.core.signals.correlation import correlation_time
 from semiparam_ros.core.signals.smoothing import smoothed
 from semiparam_ros.core.types import Array, Indices, Mask
 from semiparam_ros.effects import Effect
-from semiparam_ros.effects.base import ALWAYS
+from semiparam_ros.effects.base import ALWAYS, Span
 from semiparam_ros.errors import SemiparamError
 
 MOTIONS = {'smoothed': 2, 'smoothed from positions': 1, 'smoothed with accelerations': 3}
@@ -214,7 +214,9 @@ def from_recording(body: RigidBody, effects: Sequence[Effect], samples: Samples,
                 best = loss, motion, table
     assert best is not None
     _, motion, table = best
-    how = f'{int(table.used.sum())} samples of {name}, motion {motion}'
+    how = f'{int(table.used.sum())} samples of {name}, motion {motion}' + ''.join(
+        f', another load at {effect.where} until {effect.span.end_s:.1f} s apart'
+        for effect in table.model.effects[len(effects):] if isinstance(effect, Effect))
     mean, information = table.estimate(table.used)
     top_speed = np.abs(samples.velocity).max(axis=0)
     return Estimate(table.model, mean, information, how, top_speed, table, held_out=True)
@@ -280,27 +282,66 @@ def _table(model: CoupledColumns, samples: Samples, used: Mask,
 
 def _with_starts(table: SampleTable, time: Array) -> SampleTable:
     """Note what the samples show of loads that do not say when they start, and set the columns to
-    zero before."""
+    zero before; what was carried at the same place before is another one, which is over."""
     block: Indices = np.arange(len(time)) * BLOCKS // len(time)
-    for index, effect in enumerate(table.model.effects):
-        if not (effect.is_load and isinstance(effect, Effect)) or effect.span.values:
-            continue
+    open_ended = [(index, effect) for index, effect in enumerate(table.model.effects)
+                  if effect.is_load and isinstance(effect, Effect) and not effect.span.values]
+    places = [effect.where for _, effect in open_ended]
+    for index, effect in open_ended:
         part = table.model.blocks[str(index)]
         best = _best_start(table, part, block)
         if best == 0:
             continue
+        if best < BLOCKS and places.count(effect.where) == 1:  # of several, each is what is there before the next
+            table, best = _with_another(table, effect, part, block, time, best)
         table = _beginning(table, part, block, best)
         if best < BLOCKS:
             table = replace(table, starts={**table.starts, part.start: float(time[block == best][0])})
     return table.weighed()
 
 
+def _with_another(table: SampleTable, effect: Effect, part: slice, block: Indices, time: Array,
+                  start: int) -> tuple[SampleTable, int]:
+    """The same with another load before that of ``part``, and the block when this begins, where the samples show so."""
+    pairs = [*((start, later) for later in range(start + 1, BLOCKS)), *((before, start) for before in range(1, start))]
+
+    def evidence(table: SampleTable) -> list[float]:
+        sums = _sums(table, block)
+        return [_evidence(table.prior, sums, part, own, before) for before, own in pairs]
+
+    before, own = pairs[int(np.argmax(evidence(table.by_samples_alone())))]
+    both = _with_over(table, effect, part, block, time, (before, own))
+    as_sure = _beginning(both, part, block, own).by_samples_alone().weighed()
+    table = replace(table, deviation=as_sure.deviation, weight=as_sure.weight)
+    found = evidence(table)
+    if max(found) <= _evidence(table.prior, _sums(table, block), part, start) + np.log(len(pairs)):
+        return table, start
+    pair = pairs[int(np.argmax(found))]
+    return _with_over(table, effect, part, block, time, pair), pair[1]
+
+
+def _with_over(table: SampleTable, effect: Effect, part: slice, block: Indices, time: Array,
+               between: tuple[int, int]) -> SampleTable:
+    """The same with a load of its own between two blocks, of which what is around the first tells nothing."""
+    old, (first, last) = table.model, between
+    start_s, end_s = (float(time[block == each][0]) for each in between)
+    other = replace(effect, span=Span(start_s=start_s, end_s=end_s))
+    model = CoupledColumns(old.body, [*old.effects, other], old.has_friction, old.physical)
+    there = ((first <= block) & (block < last))[:, None, None]
+    columns = np.concatenate([table.columns, np.where(there, table.columns[:, :, part], 0.0)], axis=2)
+    return replace(table, model=model, columns=columns, used=table.used & ~_around(block, first))
+
+
 def _beginning(table: SampleTable, part: slice, block: Indices, start: int) -> SampleTable:
     """The same where the columns of ``part`` are there from a block on, of which what is around tells nothing."""
     columns = table.columns.copy()
     columns[block < start, :, part] = 0.0
-    around = (np.abs(block - start + 0.5) < 1.0) & (0 < start < BLOCKS)
-    return replace(table, columns=columns, used=table.used & ~around)
+    return replace(table, columns=columns, used=table.used & ~_around(block, start))
+
+
+def _around(block: Indices, start: int) -> Mask:
+    """Mask (N,) of the samples in the blocks about a start; none about the beginning and the end."""
+    return np.asarray((np.abs(block - start + 0.5) < 1.0) & (0 < start < BLOCKS))
 
 
 def _best_start(table: SampleTable, part: slice, block: Indices) -> int:
@@ -319,7 +360,12 @@ def _best_start(table: SampleTable, part: slice, block: Indices) -> int:
 
 def _evidence_of_starts(table: SampleTable, part: slice, block: Indices) -> Array:
     """Log evidence [nat] (BLOCKS + 1,) of each start, the last of none."""
-    mean, precision = table.prior
+    sums = _sums(table, block)
+    return np.array([_evidence(table.prior, sums, part, start) for start in range(BLOCKS + 1)])
+
+
+def _sums(table: SampleTable, block: Indices) -> tuple[Array, Array]:
+    """Information (BLOCKS, p, p) of each block, and its product (BLOCKS, p) with what its samples say of theta."""
     grams, rights = [], []
     for number in range(BLOCKS):
         rows = table.used & (block == number)
@@ -327,15 +373,26 @@ def _evidence_of_starts(table: SampleTable, part: slice, block: Indices) -> Arra
         columns = table.columns[rows] * root[:, :, None]
         grams.append(np.einsum('tnp,tnq->pq', columns, columns, optimize=True))
         rights.append(np.einsum('tnp,tn->p', columns, table.outputs[rows] * root))
-    there = np.ones(len(mean))
-    there[part] = 0.0
-    evidence = np.zeros(BLOCKS + 1)
-    for start in range(BLOCKS + 1):
-        information = np.diag(precision) + sum(grams[start:])
-        right = precision * mean + sum(rights[start:])
-        if start:
-            information += sum(grams[:start]) * np.outer(there, there)
-            right = right + there * sum(rights[:start])
-        factor = cho_factor(information)
-        evidence[start] = 0.5 * right @ cho_solve(factor, right) - np.log(np.diag(factor[0])).sum()
-    return evidence
+    return np.array(grams), np.array(rights)
+
+
+def _evidence(prior: tuple[Array, Array], sums: tuple[Array, Array], part: slice, start: int,
+              before: int | None = None) -> float:
+    """Log evidence [nat] of a load with the columns of ``part`` from a block on, and of another one from the block
+    ``before`` until then."""
+    mean, precision = prior
+    grams, rights = sums
+    own = np.arange(len(mean))
+    other, absent, constant = own.copy(), np.delete(own, part), 0.0
+    first = start if before is None else before
+    if before is not None:
+        other[part] = len(own) + np.arange(len(own[part]))
+        constant = 0.5 * float(np.sum(np.log(precision[part]) - precision[part] * mean[part] ** 2))
+        mean, precision = np.append(mean, mean[part]), np.append(precision, precision[part])
+    information, right = np.diag(precision), precision * mean
+    for phase, taken, put in ((slice(0, first), absent, absent), (slice(first, start), own, other),
+                              (slice(start, None), own, own)):
+        information[np.ix_(put, put)] += grams[phase].sum(axis=0)[np.ix_(taken, taken)]
+        right[put] += rights[phase].sum(axis=0)[taken]
+    factor = cho_factor(information)
+    return constant + float(0.5 * right @ cho_solve(factor, right) - np.log(np.diag(factor[0])).sum())

@@ -19,3 +19,19 @@ def test_a_load_that_a_slow_arm_picks_up_is_there_from_then_on():
     found = from_recording(body, [effect_from_text('payload@r_hand')], samples, True, False, 'it')
     assert list(found.starts.values()) == [pytest.approx(motion.time[270])]
     np.testing.assert_allclose(found.mean[-10:-6], load[:4], atol=0.02)
+
+
+@pytest.mark.parametrize('first', [150, 240])
+def test_a_load_is_told_from_another_one_that_was_put_down_before(first):
+    """Of a tool of 0.9 kg and the next one of 0.5 kg, the export had one of 0.62 kg since the first."""
+    body, motion = RigidBody.from_urdf(ICUB_OWN.read_text(), ICUB_JOINTS, 'effort'), smooth_motion(4, 600)
+    loads = np.array([0.8, 0.02, -0.03, 0.05, 8e-3, 0.0, 8e-3, 0.0, 0.0, 6e-3]), 0.4 * np.eye(10)[0]
+    loads[1][[1, 4, 6, 9]] = 0.02, 3e-3, 4e-3, 4e-3
+    samples = as_recorded(body, motion)
+    for load, rows in zip(loads, (slice(first, 390), slice(390, None)), strict=True):
+        samples.outputs[rows] += load_regressor(body, motion, 'r_hand')[rows] @ load
+    found = from_recording(body, [effect_from_text('payload@r_hand')], samples, True, False, 'it')
+    own = found.columns.blocks['0']
+    assert found.starts[own.start] == pytest.approx(motion.time[390])
+    np.testing.assert_allclose(found.mean[own][:4], loads[1][:4], atol=0.02)
+    assert f'another load at r_hand until {motion.time[390]:.1f} s' in found.how
