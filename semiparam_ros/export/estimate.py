@@ -290,34 +290,42 @@ def _with_starts(table: SampleTable, time: Array) -> SampleTable:
     for index, effect in open_ended:
         part = table.model.blocks[str(index)]
         best = _best_start(table, part, block)
+        if best < BLOCKS and places.count(effect.where) == 1:  # of several, each is what is there before the next
+            table, best = _with_others(table, effect, part, block, time, best)
         if best == 0:
             continue
-        if best < BLOCKS and places.count(effect.where) == 1:  # of several, each is what is there before the next
-            table, best = _with_another(table, effect, part, block, time, best)
         table = _beginning(table, part, block, best)
         if best < BLOCKS:
             table = replace(table, starts={**table.starts, part.start: float(time[block == best][0])})
     return table.weighed()
 
 
-def _with_another(table: SampleTable, effect: Effect, part: slice, block: Indices, time: Array,
-                  start: int) -> tuple[SampleTable, int]:
-    """The same with another load before that of ``part``, and the block when this begins, where the samples show so."""
-    pairs = [*((start, later) for later in range(start + 1, BLOCKS)), *((before, start) for before in range(1, start))]
+def _with_others(table: SampleTable, effect: Effect, part: slice, block: Indices, time: Array,
+                 start: int) -> tuple[SampleTable, int]:
+    """The same with other loads before that of ``part``, one after another, and the block when this begins, where the
+    samples show so."""
+    before = [(earlier, start) for earlier in range(start)]
+    while True:
+        pairs = [*before, *((start, later) for later in range(start + 1, BLOCKS))]
+        pair = _another(table, effect, part, block, time, start, pairs) if pairs else None
+        if pair is None:
+            return table, start
+        table, start, before = _with_over(table, effect, part, block, time, pair), pair[1], []
 
+
+def _another(table: SampleTable, effect: Effect, part: slice, block: Indices, time: Array, start: int,
+             pairs: Sequence[tuple[int, int]]) -> tuple[int, int] | None:
+    """The blocks between which another load was there before that of ``part``; None where the samples show none."""
     def evidence(table: SampleTable) -> list[float]:
         sums = _sums(table, block)
-        return [_evidence(table.prior, sums, part, own, before) for before, own in pairs]
+        return [_evidence(table.prior, sums, part, own, first) for first, own in pairs]
 
-    before, own = pairs[int(np.argmax(evidence(table.by_samples_alone())))]
-    both = _with_over(table, effect, part, block, time, (before, own))
-    as_sure = _beginning(both, part, block, own).by_samples_alone().weighed()
+    fitting = pairs[int(np.argmax(evidence(table.by_samples_alone())))]
+    both = _with_over(table, effect, part, block, time, fitting)
+    as_sure = _beginning(both, part, block, fitting[1]).by_samples_alone().weighed()
     table = replace(table, deviation=as_sure.deviation, weight=as_sure.weight)
-    found = evidence(table)
-    if max(found) <= _evidence(table.prior, _sums(table, block), part, start) + np.log(len(pairs)):
-        return table, start
-    pair = pairs[int(np.argmax(found))]
-    return _with_over(table, effect, part, block, time, pair), pair[1]
+    found, alone = evidence(table), _evidence(table.prior, _sums(table, block), part, start)
+    return pairs[int(np.argmax(found))] if max(found) > alone + np.log(len(pairs)) else None
 
 
 def _with_over(table: SampleTable, effect: Effect, part: slice, block: Indices, time: Array,

@@ -21,17 +21,19 @@ def test_a_load_that_a_slow_arm_picks_up_is_there_from_then_on():
     np.testing.assert_allclose(found.mean[-10:-6], load[:4], atol=0.02)
 
 
-@pytest.mark.parametrize('first', [150, 240])
-def test_a_load_is_told_from_another_one_that_was_put_down_before(first):
+@pytest.mark.parametrize('ends', [(150, 390), (240, 390), (0, 300), (120, 270, 420)])
+def test_a_load_is_told_from_others_that_were_put_down_before(ends):
     """Of a tool of 0.9 kg and the next one of 0.5 kg, the export had one of 0.62 kg since the first."""
     body, motion = RigidBody.from_urdf(ICUB_OWN.read_text(), ICUB_JOINTS, 'effort'), smooth_motion(4, 600)
-    loads = np.array([0.8, 0.02, -0.03, 0.05, 8e-3, 0.0, 8e-3, 0.0, 0.0, 6e-3]), 0.4 * np.eye(10)[0]
-    loads[1][[1, 4, 6, 9]] = 0.02, 3e-3, 4e-3, 4e-3
-    samples = as_recorded(body, motion)
-    for load, rows in zip(loads, (slice(first, 390), slice(390, None)), strict=True):
-        samples.outputs[rows] += load_regressor(body, motion, 'r_hand')[rows] @ load
-    found = from_recording(body, [effect_from_text('payload@r_hand')], samples, True, False, 'it')
-    own = found.columns.blocks['0']
-    assert found.starts[own.start] == pytest.approx(motion.time[390])
-    np.testing.assert_allclose(found.mean[own][:4], loads[1][:4], atol=0.02)
-    assert f'another load at r_hand until {motion.time[390]:.1f} s' in found.how
+    samples, keep = as_recorded(body, motion), ends[0] == 0  # from the first sample on it is told by known links alone
+    samples.outputs[:] /= 1.15 if keep else 1.0
+    for number, (first, last) in enumerate(zip(ends, (*ends[1:], 600), strict=True)):
+        mass = (0.8, 0.4, 0.6)[number]
+        load = mass * np.array([1.0, 0.02, -0.03 * number, 0.05, 0.01, 0.0, 0.01, 0.0, 0.0, 0.01])
+        samples.outputs[first:last] += load_regressor(body, motion, 'r_hand')[first:last] @ load
+    effects = [effect_from_text('payload@r_hand')]
+    found = from_recording(body, effects, samples, True, keep, 'it')
+    own, end_s = found.columns.blocks['0'], motion.time[ends[-1]]
+    assert found.starts[own.start] == pytest.approx(end_s)
+    np.testing.assert_allclose(found.mean[own][:4], load[:4], atol=0.02)
+    assert found.how.count('another load at r_hand until') == len(ends) - 1 and f'until {end_s:.1f} s' in found.how
