@@ -126,6 +126,8 @@ class Identified(NamedTuple):
     price: Price | None
     theta: Array
     """All coefficients (p,), as the bodies make them."""
+    lighter: Sequence[str] = ()
+    """Of ``not_shown``, those whose mass is below zero for certain: no body takes away what the samples show."""
 
 
 def identify(estimate: Estimate, described: Mapping[str, Array],
@@ -154,7 +156,7 @@ def identify(estimate: Estimate, described: Mapping[str, Array],
     speeds = dict(zip(columns.body.joints, estimate.top_speed.tolist(), strict=True))
     return Identified(estimate.how, links, solution.described, solution.mended, joints, found,
                       solution.not_shown, offsets, _left_out(columns, theta), speeds, price,
-                      theta)
+                      theta, solution.lighter)
 
 
 def identified_load(body: RigidBody, parameters: Array, covariance: Array) -> Array:
@@ -209,6 +211,7 @@ class _Solution:
             self._bodies.append(Body(made_consistent(described[name], size.length), into))
         self.loads: list[tuple[str, slice]] = []
         self.not_shown: list[str] = []
+        self.lighter: list[str] = []
         self._rigid, self._absent = np.zeros((2, count), dtype=bool)
         self._rigid[columns.blocks['rigid_body']] = True
         for index, effect in enumerate(columns.effects):
@@ -230,6 +233,8 @@ class _Solution:
             self.loads.append((link, block))
         else:
             self.not_shown.append(link)
+            if mean[block.start] < -SURE * _std(covariance, block.start):
+                self.lighter.append(link)
 
     def hold(self, estimate: Estimate, everything: bool) -> None:
         """Leave links as described: all, or those that need not change, first all together, then

@@ -74,6 +74,9 @@ def lines(found: Identified) -> list[str]:
         lines.append(f'load at {load.link}: {load.mass:.4g} +- {load.mass_std:.2g} kg, centre '
                     f'({_row(load.centre)}) m{since}.')
     lines += [f'The samples show no load at {link}: none is written.' for link in found.not_shown]
+    lines += [f'They show that the arm is lighter with what is at {link}, as where a load that was there at first is '
+              'put down, or exchanged for a lighter one. The files hold neither state; expected a recording of one of '
+              'them, or --keep-inertias.' for link in found.lighter]
     still = [name for name in found.links if name not in changed_links(found)]
     if still:
         lines.append(f'As described: {", ".join(still)}.')

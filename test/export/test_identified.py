@@ -260,6 +260,15 @@ def joined(before, after):
                               for name in ('position', 'velocity', 'acceleration', 'outputs')})
 
 
+def test_a_load_that_was_there_at_first_and_is_put_down_is_no_load_that_may_be_none():
+    """Links between both states were exported beside the sentence that there is no load."""
+    samples = joined(recording(WRENCH, seed=8, prepare=loaded), recording(WRENCH, seed=9))
+    told = lines(exported(WRENCH, samples, ['payload@r_hand'])[0])
+    assert any('the arm is lighter with what is at r_hand, as where a load' in line for line in told)
+    alone = lines(exported(WRENCH, recording(WRENCH, seed=8), ['payload@r_hand'])[0])
+    assert not any('lighter' in line for line in alone)
+
+
 @pytest.mark.long
 def test_two_loads_on_a_link_begin_each_at_its_own_time():
     def twice(spec):
