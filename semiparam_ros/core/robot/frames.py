@@ -212,14 +212,15 @@ def nearest_link(body: RigidBody, link: str, point: Array) -> tuple[str, Array]:
 def load_transform(body: RigidBody, link: str) -> tuple[int, Array]:
     """Number of the body that carries ``link``, and the (10, 10) map of inertial parameters from link to body, which
     is not to be written to; raises SemiparamError where the outputs feel none there."""
-    return _carried_by(body.arm if body.distal is None else body.distal, body, link)
+    model = body.arm if body.distal is None else body.distal
+    if model.frames[_frame(model, link, body)].parentJoint not in _felt_joints(body):
+        raise unfelt(link, body)
+    return _carried_by(model, body, link)
 
 
 def _carried_by(model: pin.Model, body: RigidBody, link: str) -> tuple[int, Array]:
-    """The same of one of the body's models."""
+    """The same of one of the body's models, without asking what the outputs feel."""
     frame = model.frames[_frame(model, link, body)]
-    if frame.parentJoint not in _felt_joints(body):
-        raise unfelt(link, body)
     placement = frame.placement
     rotation, shift = placement.rotation, placement.translation
     return frame.parentJoint - 1, np.column_stack([_moved(unit, rotation, shift) for unit in np.eye(10)])
