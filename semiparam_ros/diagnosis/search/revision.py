@@ -98,7 +98,9 @@ def with_usual(fit: Fit, fixed: Collection[Place], kinds: dict[str, type[Effect]
             if trial is not None:
                 after = bent(declare(rest, [trial.effect]), [identity(trial.effect)], kinds)
                 if _likelier_beforehand(fit, after, effect, trial.effect, kinds) and all_plausible(fit, after):
-                    return pruned(after, fixed, kinds)
+                    after = pruned(after, fixed, kinds)
+                    if (kind.kind, effect.where) in held(after.effects):  # else the rarer one would come again
+                        return after
     return fit
 
 
