@@ -25,6 +25,7 @@ from semiparam_ros.diagnosis.search.score import (
     gain,
     repetition,
     summed,
+    unlikely,
     worth,
 )
 from semiparam_ros.diagnosis.search.scoring import Trial, worth_refining
@@ -221,6 +222,18 @@ def test_a_delay_that_there_is_gains_as_much_as_it_explains():
     outputs += 0.01 * outputs.std(axis=0) * np.random.default_rng(0).standard_normal(outputs.shape)
     fit = starting_fit(BODY, replace(motion, outputs=outputs), [], np.ones(COUNT, dtype=bool))
     assert gain(fit, declare(fit, [delay])).total > 100.0
+
+
+def test_what_is_far_from_what_was_known_is_unlikely():
+    """As half the squares of its deviations beforehand, of coefficients and of calibrations."""
+    zero = KINDS['joint_offset']('lift', {'offset': 0.1})
+    fit = fitted(moving(), [zero])
+    coefficients = 0.5 * np.sum(((fit.theta - fit.prior_mean()) / fit.prior_deviation) ** 2)
+    off = (fit.effects[0].value('offset') - 0.06) / zero.calibration_scale(BODY)[0]
+    assert unlikely(replace(fit, declared=())) == pytest.approx(
+        coefficients + 0.5 * (fit.effects[0].value('offset') / zero.calibration_scale(BODY)[0]) ** 2)
+    assert unlikely(replace(fit, declared=(zero.with_values(offset=0.06),))) == pytest.approx(
+        coefficients + 0.5 * off**2)
 
 
 def test_the_foremost_of_each_kind_with_many_values_are_refined():

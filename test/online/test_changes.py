@@ -112,6 +112,21 @@ def test_noise_that_is_less_than_the_model_expects_hides_no_load():
     assert abs(found[10.0].value - mass) < 0.25 * mass
 
 
+def test_white_noise_is_at_most_what_the_model_expects_and_at_least_what_is_seen():
+    body, samples = free()
+    detector = told(body, samples[samples.time < 40.0])[2]
+    block, level = detector._blocks[-1], detector._level
+    assert 0.5 < level <= 1.0
+    detector._follow_level(block._replace(own=0.0 * block.own))
+    assert detector._level == level, 'joints that rest tell nothing'
+    for times, expected in ((100.0, 1.0), (0.01, 0.01)):
+        own = block.own.copy()
+        own[-1] = times * own[0] * detector._noise_std**2
+        for _ in range(2 * len(detector._levels)):
+            detector._follow_level(block._replace(own=own))
+        assert detector._level == pytest.approx(expected)
+
+
 def test_a_change_acts_in_no_block_from_before_it_began():
     body, samples, _ = loaded()
     detector = told(body, samples[samples.time < LOADED_S[0] + 3.0])[2]
