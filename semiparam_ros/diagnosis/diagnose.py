@@ -26,7 +26,7 @@ from semiparam_ros.diagnosis.data.recordings import (
     whole_groups,
 )
 from semiparam_ros.diagnosis.data.splits import interleaved_split, ranges
-from semiparam_ros.diagnosis.evaluation import Evaluation, evaluate_here, evaluate_there
+from semiparam_ros.diagnosis.evaluation import Evaluation, evaluate_described, evaluate_here, evaluate_there
 from semiparam_ros.diagnosis.findings import Finding, declared_findings, findings, places_in
 from semiparam_ros.diagnosis.friction_change import friction_changes
 from semiparam_ros.diagnosis.preparation import (
@@ -122,6 +122,12 @@ class Diagnosis:
     def after(self) -> Evaluation:
         """Error of the final model."""
         return self.by_step[-1] if self.by_step else self.before
+
+    @property
+    def described_errors(self) -> tuple[Evaluation, Evaluation]:
+        """Errors of the final model on the blocks left out, with the inertias of the robot description and with its
+        own."""
+        return evaluate_described(self.final, self.held_out), evaluate_here(self.final, self.held_out)
 
     @property
     def offsets(self) -> list[Effect]:

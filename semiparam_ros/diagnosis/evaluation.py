@@ -122,6 +122,12 @@ def evaluate_here(fit: Fit, held_out: Mask) -> Evaluation:
     return evaluation_of(fit.body, fit.samples.outputs, fit.residual, held_out, fit.config, fit.counted)
 
 
+def evaluate_described(fit: Fit, held_out: Mask) -> Evaluation:
+    """The same with the inertias of the robot description, and the rest of the model at its best beside them."""
+    predicted = fit.design.predicted(fit.theta_beside(fit.body.base_parameters))
+    return evaluate_here(replace(fit, residual=fit.samples.outputs - predicted), held_out)
+
+
 def evaluate_there(fit: Fit, samples: Samples, valid: Mask) -> Evaluation:
     """The model on another recording: what began during the first one counts as there from the start.
 

@@ -290,6 +290,14 @@ class Fit:
         """(p, p) of theta over the noise's variance in scaled units."""
         return np.asarray(cho_solve(self.factor, np.eye(len(self.theta))))
 
+    def theta_beside(self, base_parameters: Array) -> Array:
+        """(p,) theta with these base parameters (p_psi,), and everything else at its best beside them."""
+        own, root = len(base_parameters), np.triu(self.factor[0])
+        moved = root[:own, :own] @ (base_parameters - self.rigid_part)
+        across = root[:own, own:].T @ moved
+        inner = root[:, own:].T @ root[:, own:]
+        return np.append(base_parameters, self.theta[own:] - np.linalg.solve(inner, across))
+
     def covariance_with(self, columns: Array) -> Array:
         """(p + c, p + c) of theta and of the coefficients of further columns (N, n, c), over the noise's variance in
         scaled units. Directions of these that theta's columns hold already count as known."""

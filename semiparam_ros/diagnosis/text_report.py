@@ -93,7 +93,8 @@ def _verdict(diagnosis: Diagnosis) -> list[str]:
 
 def _opening(diagnosis: Diagnosis) -> str:
     if diagnosis.verdict == 'nothing_missing':
-        return 'Nothing is missing: no effect that could be named explains the residual on blocks left out of the fit.'
+        return ('Nothing is missing: no effect that could be named explains the residual on blocks left out of the fit.'
+                + _description(diagnosis))
     if diagnosis.verdict == 'unexplained':
         beside = ' The effects below hold beside it.' * bool(diagnosis.findings)
         function = ' A smooth function of the motion and of time explains more of it than all that resemble it.'
@@ -107,6 +108,16 @@ def _opening(diagnosis: Diagnosis) -> str:
     lacks = f'The model lacks {"one effect" if count == 1 else f"{count} effects"}'
     has = f'{"one effect has" if other == 1 else f"{other} effects have"} other values than declared.'
     return f'{lacks}.' if not other else f'{lacks}, and {has}' if count else has.capitalize()
+
+
+def _description(diagnosis: Diagnosis) -> str:
+    """A sentence on inertias that are others than described, as where the robot always carries a tool; else empty."""
+    described, fitted = diagnosis.described_errors
+    if described.interval()[0] <= fitted.interval()[1]:
+        return ''
+    return (f' But the inertias are not those of the robot description: with these the normalised error is '
+            f'{described.nmse.mean():.2g}, with those of the fit {fitted.nmse.mean():.2g}. What the robot carries all '
+            'the time is part of them; semiparam export writes them down.')
 
 
 def _contacts(diagnosis: Diagnosis) -> list[str]:

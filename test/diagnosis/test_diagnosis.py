@@ -13,6 +13,7 @@ from semiparam_ros.cli.main import main
 from semiparam_ros.cli.options import write_json
 from semiparam_ros.core.columns import CoupledColumns
 from semiparam_ros.core.estimator import Estimator
+from semiparam_ros.core.robot.frames import load_in_base
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.diagnosis import preparation
@@ -294,6 +295,32 @@ def test_nothing_missing_is_said_when_nothing_is(nothing):
     assert nothing.findings == nothing.steps == []
     assert nothing.as_dict()['before'] == nothing.as_dict()['after']
     assert 0.8 < np.sqrt(np.mean((nothing.after.rmse / nothing.noise_floor_rmse) ** 2)) < 1.15
+
+
+def test_inertias_that_are_others_than_described_are_said_to_be():
+    """Of a tool that is there from the first sample to the last, nothing was said: it is mass of the links."""
+    motion = replace(smooth_motion(4, 2000, seed=0, speed=0.5), whole=True)
+    tool = load_in_base(ODD_BODY, 'finger', np.array([0.8, 0.02, 0.0, 0.05, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    regressors = ODD_BODY.regressors(motion)
+    for carried, said in ((0.0, False), (1.0, True)):
+        exact = regressors @ (ODD_BODY.base_parameters + carried * tool)
+        found = diagnose(ODD_BODY, replace(motion, outputs=noisy(exact, 0.01, seed=1)), only=['time_delay'])
+        assert found.verdict == 'nothing_missing'
+        assert ('the inertias are not those of the robot description' in text_report(found)[0]) is said
+        described, fitted = (each.nmse.mean() for each in found.described_errors)
+        assert described > 100.0 * fitted if said else described < 1.5 * fitted
+
+
+def test_the_rest_of_a_model_is_at_its_best_beside_given_inertias(nothing):
+    fit = nothing.final
+    theta, own = fit.theta_beside(fit.body.base_parameters), fit.body.n_parameters
+    np.testing.assert_array_equal(theta[:own], fit.body.base_parameters)
+    np.testing.assert_allclose(fit.theta_beside(fit.rigid_part), fit.theta, rtol=1e-9, atol=1e-12)
+    columns = np.concatenate([fit.assembly.batch(fit.samples)[0]], axis=2)[fit.train_mask]
+    left = (fit.samples.outputs - fit.design.predicted(theta))[fit.train_mask] * fit.counted[fit.train_mask]
+    slope = np.einsum('tnp,tn->p', columns, left / fit.scale**2) - (theta - fit.prior_mean()) / fit.prior_deviation**2
+    size = np.sqrt(np.einsum('tnp,tnp->p', columns, columns / fit.scale[:, None] ** 2))
+    np.testing.assert_allclose(slope[own:] / size[own:], 0.0, atol=1e-6)
 
 
 def test_a_payload_is_named_with_its_start_and_mass(payload):
