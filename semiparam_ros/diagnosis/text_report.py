@@ -117,7 +117,7 @@ def _description(diagnosis: Diagnosis) -> str:
         return ''
     return (f' But the inertias are not those of the robot description: with these the normalised error is '
             f'{described.nmse.mean():.2g}, with those of the fit {fitted.nmse.mean():.2g}. What the robot carries all '
-            'the time is part of them; semiparam export writes them down.')
+            'the time is part of them.')
 
 
 def _contacts(diagnosis: Diagnosis) -> list[str]:
@@ -248,6 +248,8 @@ def next_step(diagnosis: Diagnosis, written: str = '') -> str:
     if diagnosis.findings:
         return (f'start the node with {written}, which declares what was found, or mend the cause.' if written else
                 'write the effects with -o FILE.yaml and start the node with that file, or mend the cause.')
+    if _description(diagnosis):
+        return 'put the tool into the robot description, or write the inertias of the fit down with semiparam export.'
     return 'nothing; to see more, record faster motion of more joints.'
 
 
