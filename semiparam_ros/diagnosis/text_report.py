@@ -113,7 +113,7 @@ def _opening(diagnosis: Diagnosis) -> str:
 def _description(diagnosis: Diagnosis) -> str:
     """A sentence on inertias that are others than described, as where the robot always carries a tool; else empty."""
     described, fitted = diagnosis.described_errors
-    if described.interval()[0] <= fitted.interval()[1]:
+    if not described.interval()[0] > fitted.interval()[1]:
         return ''
     return (f' But the inertias are not those of the robot description: with these the normalised error is '
             f'{described.nmse.mean():.2g}, with those of the fit {fitted.nmse.mean():.2g}. What the robot carries all '
