@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cached_property, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -123,7 +123,7 @@ class Diagnosis:
         """Error of the final model."""
         return self.by_step[-1] if self.by_step else self.before
 
-    @property
+    @cached_property
     def described_errors(self) -> tuple[Evaluation, Evaluation]:
         """Errors of the final model on the blocks left out, with the inertias of the robot description and with its
         own."""
