@@ -249,7 +249,8 @@ def next_step(diagnosis: Diagnosis, written: str = '') -> str:
         return (f'start the node with {written}, which declares what was found, or mend the cause.' if written else
                 'write the effects with -o FILE.yaml and start the node with that file, or mend the cause.')
     if _description(diagnosis):
-        return 'put the tool into the robot description, or write the inertias of the fit down with semiparam export.'
+        return ('nothing for the model; put the tool into the robot description, or write the inertias of the fit down '
+                'with semiparam export.')
     return 'nothing; to see more, record faster motion of more joints.'
 
 

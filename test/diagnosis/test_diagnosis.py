@@ -307,7 +307,7 @@ def test_inertias_that_are_others_than_described_are_said_to_be():
         found = diagnose(ODD_BODY, replace(motion, outputs=noisy(exact, 0.01, seed=1)), only=['time_delay'])
         assert found.verdict == 'nothing_missing'
         assert ('the inertias are not those of the robot description' in text_report(found)[0]) is said
-        assert next_step(found).startswith('put the tool' if said else 'nothing')
+        assert next_step(found).startswith('nothing for the model; put the tool' if said else 'nothing; to see more')
         described, fitted = (each.nmse.mean() for each in found.described_errors)
         assert described > 100.0 * fitted if said else described < 1.5 * fitted
 
