@@ -105,9 +105,10 @@ def test_noise_that_is_less_than_the_model_expects_hides_no_load():
     for times in (1.0, 10.0):
         noisier = replace(hyperparameters, sigma=times * hyperparameters.sigma)
         estimator = Estimator(body, ModelOptions(variant='P', hyperparameters=noisier))
-        first = seen(estimator, ChangeDetector(estimator.columns), [], samples)[0][0]
+        (first, *_), _, detector = seen(estimator, ChangeDetector(estimator.columns), [], samples)
         assert first.kind == 'payload'
         found[times] = first
+        assert max(detector.noise, detector.innovation_noise) * times**2 < 10.0, 'kappa is that of what is seen'
     assert found[10.0].noticed - found[1.0].noticed < 1e9
     assert abs(found[10.0].value - mass) < 0.25 * mass
 
