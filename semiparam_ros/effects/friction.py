@@ -312,8 +312,8 @@ class AsymmetricFriction(_Sliding):
         """Columns of which each is averaged by itself: a sample in which the joint turns back holds some of both."""
         states, memory = super()._states(samples, joint, memory)
         if samples.averaged_s > 0.0 and 'presliding' not in self.parameters:
-            forward = self._averaged(samples, joint, 0.0)
-            states[:, :2] = np.column_stack([forward, self._averaged(samples, joint) - forward])
+            direction, forward = states[:, 0] + states[:, 1], self._averaged(samples, joint, 0.0)
+            states[:, 0], states[:, 1] = forward, direction - forward
         return states, memory
 
 

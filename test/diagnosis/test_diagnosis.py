@@ -317,7 +317,7 @@ def test_the_rest_of_a_model_is_at_its_best_beside_given_inertias(nothing):
     theta, own = fit.theta_beside(fit.body.base_parameters), fit.body.n_parameters
     np.testing.assert_array_equal(theta[:own], fit.body.base_parameters)
     np.testing.assert_allclose(fit.theta_beside(fit.rigid_part), fit.theta, rtol=1e-9, atol=1e-12)
-    columns = np.concatenate([fit.assembly.batch(fit.samples)[0]], axis=2)[fit.train_mask]
+    columns = np.asarray(fit.assembly.batch(fit.samples)[0])[fit.train_mask]
     left = (fit.samples.outputs - fit.design.predicted(theta))[fit.train_mask] * fit.counted[fit.train_mask]
     slope = np.einsum('tnp,tn->p', columns, left / fit.scale**2) - (theta - fit.prior_mean()) / fit.prior_deviation**2
     size = np.sqrt(np.einsum('tnp,tnp->p', columns, columns / fit.scale[:, None] ** 2))

@@ -97,17 +97,18 @@ def with_usual(fit: Fit, fixed: Collection[Place], kinds: dict[str, type[Effect]
             trial = coarse_trial(rest, kind, effect.where)
             if trial is not None:
                 after = bent(declare(rest, [trial.effect]), [identity(trial.effect)], kinds)
-                if _likelier_beforehand(fit, after, effect, trial.effect, kinds) and all_plausible(fit, after):
+                if _likelier_beforehand(rest, fit, effect, after, trial.effect, kinds) and all_plausible(fit, after):
                     after = pruned(after, fixed, kinds)
                     if (kind.kind, effect.where) in held(after.effects):  # else the rarer one would come again
                         return after
     return fit
 
 
-def _likelier_beforehand(fit: Fit, after: Fit, effect: Effect, other: Effect, kinds: Collection[str]) -> bool:
-    """Return whether the model ``after`` with another effect in place of one is the likelier one beforehand, by strong
-    evidence, and no blocks outweigh that. Their densities, each given all the others, hardly hold the prior's."""
-    rest = with_effects(fit, others(fit, effect))
+def _likelier_beforehand(rest: Fit, fit: Fit, effect: Effect, after: Fit, other: Effect,
+                         kinds: Collection[str]) -> bool:
+    """Return whether the model ``after``, the rest with another effect, is likelier beforehand than that with the
+    effect, by strong evidence, and no blocks outweigh that. Their densities, each given all the others, hardly hold the
+    prior's."""
     dearer = prices([effect], rest, kinds) - prices([other], rest, kinds) + unlikely(fit) - unlikely(after)
     errors = fit.config.sure if usual(other, rest.effects, fit) else 0.0
     return dearer > math.log(fit.config.better_odds) and not gain(after, fit).exceeds(dearer, errors)
