@@ -12,6 +12,9 @@ than that. How much they do is the sandwich covariance of clustered samples (Lia
 stretches of time as clusters. The larger of the two is told: with few stretches the sandwich itself is uncertain, and
 one stretch may hold all that tells of a value.
 
+*What acts in a joint of which the efforts are read with a gain* is told as it is, not as they read it, and is as unsure
+as the gain besides.
+
 *What no sample shows*, as the zero of a last joint that turned inertias explain, is as unsure as it was beforehand.
 
 *Errors of a smoothed motion* do the same in every stretch: they make an inertia too small and a spring too stiff by up
@@ -22,7 +25,7 @@ Association 89), and counted as a deviation too.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -34,6 +37,8 @@ from semiparam_ros.diagnosis.regression import Fit
 from semiparam_ros.diagnosis.search.candidates import added_columns
 from semiparam_ros.diagnosis.search.refit import Shape, calibrated_values, moved_by, shape_columns, shapes_of
 from semiparam_ros.effects import Effect
+from semiparam_ros.effects.drive import gains
+from semiparam_ros.effects.friction import JointEffect
 
 GAIN_STEP = 1e-6
 """Half the difference of gains that stands for a derivative."""
@@ -73,8 +78,12 @@ def _estimates(fit: Fit, found: Collection[int], disturbed: Sequence[Samples]) -
     edges = len(fit.theta) + np.cumsum([0, *(part.shape[2] for part in further)])
     parts = {number: slice(start, end) for number, start, end in zip(calibrated, edges, edges[1:], strict=False)}
     told, values = np.eye(edges[-1]), np.append(fit.theta, np.zeros(edges[-1] - edges[0]))
+    read = _read(fit, fit.effects)
+    values[:edges[0]] /= read
+    told[:edges[0], :edges[0]] /= read
     for number, part in parts.items():
         values[part] = calibrated_values(fit.effects[number])
+        told[:edges[0], part] = -(values[:edges[0]] / read)[:, None] * _slopes(fit, number)
         if not fit.knows_mass:
             told[part, part] = _without_common_gain(fit.effects[number])
     deviation = _deviations(fit, columns, told)
@@ -88,14 +97,38 @@ def _estimates(fit: Fit, found: Collection[int], disturbed: Sequence[Samples]) -
     return Estimates(both[:, :edges[0]], {number: both[:, part] for number, part in parts.items()})
 
 
+def _read(fit: Fit, effects: Sequence[Effect]) -> Array:
+    """(p,) factor by which the efforts read each coefficient of theta: the gain of its joint, of what acts in one."""
+    of_joint, read = gains(effects, fit.body), np.ones(fit.n_columns)
+    for number, effect in enumerate(effects):
+        if isinstance(effect, JointEffect):
+            read[fit.assembly.blocks[str(number)]] = of_joint[str(effect.where)]
+    return read
+
+
+def _slopes(fit: Fit, number: int) -> Array:
+    """(p, c) derivatives of these factors by the calibrations of one effect."""
+    def moved(step: Array) -> Array:
+        effects = list(fit.effects)
+        effects[number] = moved_by(effects[number], step)
+        return _read(fit, effects)
+
+    return np.column_stack(_differences(moved, len(fit.effects[number].calibrations)))
+
+
+def _differences(moved: Callable[[Array], Array], count: int) -> list[Array]:
+    """Central differences of a function by each of its ``count`` numbers, where all of them are zero."""
+    steps = GAIN_STEP * np.eye(count)
+    return [(moved(step) - moved(-step)) / (2.0 * GAIN_STEP) for step in steps]
+
+
 def _without_common_gain(effect: Effect) -> Array:
     """(c, c) derivative of the calibrations that are told, see :meth:`Effect.without_common_gain`, by the fitted
     ones."""
     def moved(step: Array) -> Array:
         return calibrated_values(moved_by(effect, step).without_common_gain())
 
-    steps = GAIN_STEP * np.eye(len(effect.calibrations))
-    return np.column_stack([(moved(step) - moved(-step)) / (2.0 * GAIN_STEP) for step in steps])
+    return np.column_stack(_differences(moved, len(effect.calibrations)))
 
 
 def _further(fit: Fit, calibrated: Sequence[int], shapes: list[Shape]) -> list[Array]:
