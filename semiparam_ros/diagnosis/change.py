@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from semiparam_ros.core.robot.frames import last_links
-from semiparam_ros.core.robot.joint_friction import TURN_SPEEDS
+from semiparam_ros.core.robot.joint_friction import turn_speeds
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array, Mask
@@ -208,9 +208,11 @@ def _of_joints(body: RigidBody) -> list[Effect]:
     """Columns that the model of an arm with joint efforts has of each joint
     (``core.robot.joint_friction``)."""
     found: list[Effect] = []
-    for joint in body.output_names if body.outputs == 'effort' else ():
+    if body.outputs != 'effort':
+        return found
+    for joint, speeds in zip(body.output_names, turn_speeds(body).T.tolist(), strict=True):
         found += [ViscousFriction(joint), RotorInertia(joint), EffortOffset(joint), *(
-            CoulombFriction(joint, {'turn_speed': speed}) for speed in TURN_SPEEDS.tolist())]
+            CoulombFriction(joint, {'turn_speed': speed}) for speed in speeds)]
     return found
 
 
@@ -222,7 +224,7 @@ def _candidates(fit: Fit) -> list[Effect]:
         for kind in kinds(body.outputs).values()
         if kind.may_start or kind.must_start or kind.may_come for where in _places(kind, body)]
     for joint in body.output_names if body.outputs == 'effort' else ():
-        found += plain_friction(joint)
+        found += plain_friction(body, joint)
     return found
 
 

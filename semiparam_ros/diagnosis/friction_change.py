@@ -62,7 +62,7 @@ def friction_changes(fit: Fit, names: Sequence[str]) -> list[str]:
     if fit.body.outputs != 'effort':
         return []
     known, sentences = held(fit.effects), list[str]()
-    lacking = [effect for joint in fit.body.output_names for effect in plain_friction(joint)
+    lacking = [effect for joint in fit.body.output_names for effect in plain_friction(fit.body, joint)
                if (effect.kind, joint) not in known]
     fit = refit_weights(with_effects(fit, [*fit.effects, *lacking]))
     # what is declared with a start rubs in its own way

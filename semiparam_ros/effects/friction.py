@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from semiparam_ros.core.columns import ColumnBlock, JointColumns, Memory
-from semiparam_ros.core.robot.joint_friction import TURN_SPEEDS
+from semiparam_ros.core.robot.joint_friction import turn_speeds
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.robot.size import plausible, size_beyond
 from semiparam_ros.core.samples import Samples, at_middle
@@ -239,9 +239,10 @@ class CoulombFriction(_Sliding):
         return direction[:, None]
 
 
-def plain_friction(joint: str) -> list[JointEffect]:
+def plain_friction(body: RigidBody, joint: str) -> list[JointEffect]:
     """Viscous and dry friction of a joint, which turns over within the larger speed of every model's columns."""
-    return [ViscousFriction(joint), CoulombFriction(joint, {'turn_speed': float(TURN_SPEEDS[-1])})]
+    turn_speed = float(turn_speeds(body)[-1, channel_index(body, joint)])
+    return [ViscousFriction(joint), CoulombFriction(joint, {'turn_speed': turn_speed})]
 
 
 class StribeckFriction(_Sliding):

@@ -39,7 +39,7 @@ from semiparam_ros.settings.parameter_table import shown
 from semiparam_ros.settings.rules import broken_rule
 from semiparam_ros.settings.snapshot import Settings
 
-FORMAT, VERSION = 'semiparam_ros state', 32
+FORMAT, VERSION = 'semiparam_ros state', 33
 """The version changes with every change of what the arrays are or mean; test_state_file.py knows the layout of each."""
 
 ADOPTED = ('variant', 'effects', 'effects_reference', 'joint_friction', 'priors', 'noise', 'forgetting',

@@ -20,7 +20,7 @@ from semiparam_ros.core.robot.joint_friction import (
     turning_variance,
 )
 from semiparam_ros.core.robot.rigid_body import RigidBody
-from semiparam_ros.core.robot.size import base_scale, inertial_scale, size_beyond
+from semiparam_ros.core.robot.size import base_scale, inertial_scale, radians, size_beyond
 from support.arms import ODD_ARM, ODD_BODY, ODD_JOINTS, icub, smooth_motion
 
 ARM = ODD_BODY
@@ -48,8 +48,23 @@ def test_a_sample_has_the_columns_of_a_batch_each_for_its_own_effort(velocity):
         own = sample.velocity[body.output_index]
         np.testing.assert_array_equal(block[:, :n], np.diag(own))
         for index, speed in enumerate(TURN_SPEEDS, start=1):
-            np.testing.assert_allclose(block[:, index * n:(index + 1) * n], np.diag(np.tanh(own / speed)), rtol=1e-12)
+            turns = own / (speed * radians(body)[body.output_index])
+            np.testing.assert_allclose(block[:, index * n:(index + 1) * n], np.diag(np.tanh(turns)), rtol=1e-12)
         np.testing.assert_array_equal(one[:, columns.blocks['offset']], np.eye(n))
+
+
+def test_a_short_stroke_turns_over_as_fast_as_a_short_arm_does():
+    """A quill of .1 m that moves at .05 m/s had half its friction, for its direction turned over as a metre's does."""
+    quill = RigidBody.from_urdf(
+        '<robot name="r"><link name="b"/><link name="q"><inertial><mass value="1"/><origin xyz="0 0 0.1"/>'
+        '<inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link><joint name="quill" '
+        'type="prismatic"><parent link="b"/><child link="q"/><axis xyz="0 0 1"/><limit lower="-1" upper="1" effort="1" '
+        'velocity="1"/></joint></robot>', ['quill'], 'effort')
+    speed = 0.05 * np.sin(np.linspace(0.0, 100.0, 5000))[:, None]
+    viscous, *dry, _ = joint_columns(quill, speed, np.zeros_like(speed)).reshape(5000, -1).T
+    rows, force = np.column_stack([viscous, *dry]), 20.0 * speed + 8.0 * np.sign(speed)
+    found = np.linalg.lstsq(rows, force, rcond=None)[0].ravel()
+    assert found[1:].sum() == pytest.approx(8.0, rel=0.02) and found[0] == pytest.approx(20.0, rel=0.05)
 
 
 def test_the_directions_are_the_dry_columns_output_by_output():
@@ -67,7 +82,7 @@ def test_the_variance_of_turning_is_that_of_a_sign_with_the_mean_of_the_columns(
         rows, _ = columns.batch(motion)
         theta = np.random.default_rng(1).standard_normal(columns.n_columns)
         friction = theta[columns.directions].reshape(len(TURN_SPEEDS), body.n_outputs)
-        own = motion.velocity[:, body.output_index]
+        own = motion.velocity[:, body.output_index] / radians(body)[body.output_index]
         mean = sum(each * np.tanh(own / speed) for each, speed in zip(friction, TURN_SPEEDS, strict=True))
         expected = np.maximum(friction.sum(axis=0)**2 - mean**2, 0.0)
         for one, its in zip(rows, expected, strict=True):

@@ -119,7 +119,7 @@ SCRATCH = {
 
 
 LAYOUT = {
-    32: {
+    33: {
         'meta': 'applied format gate joints known memory newest origin others passed_over renewal settings tools '
                 'version window_left',
         'gate': 'awake bands calm_since changed closed closed_at closed_ratio closed_since closures counts familiar '

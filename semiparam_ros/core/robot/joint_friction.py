@@ -17,13 +17,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from semiparam_ros.core.compiled import Integers, Part, Strided, Vector, compiled
-from semiparam_ros.core.robot.rigid_body import RigidBody
+from semiparam_ros.core.compiled import Integers, Matrix, Part, Strided, Vector, compiled
+from semiparam_ros.core.robot.rigid_body import RigidBody, remembered
 from semiparam_ros.core.robot.size import output_scale, radians
 from semiparam_ros.core.types import Array
 
 TURN_SPEEDS = np.array([0.005, 0.03])
-"""[rad/s, m/s] v_s. Measured arms turn over within 0.3 to 3 % of their top speed."""
+"""[rad/s] v_s. Measured arms turn over within 0.3 to 3 % of their top speed. A joint that slides has
+:func:`turn_speeds`."""
 SHARE_OF_LIMIT = 0.2
 """Of the largest effort that a joint may give, what its friction may be."""
 OFFSET_SHARE = 0.1
@@ -41,18 +42,25 @@ UNITS = ('N m s/rad', *('N m' for _ in TURN_SPEEDS), 'kg m^2')
 """Those of friction, and of the rotor, which stands after it."""
 
 
+@remembered
+def turn_speeds(body: RigidBody) -> Array:
+    """(S, n) [rad/s, m/s] v_s of each output. One that slides is as much slower as its strokes are shorter than turns.
+    """
+    return np.outer(TURN_SPEEDS, radians(body)[body.output_index])
+
+
 def fill_joints(body: RigidBody, velocity: Array, acceleration: Array, columns: Array) -> None:
     """Friction and rotors of one sample, with velocities and accelerations (n_joints,), into the columns.
 
     Their (n, (KINDS + 1) n) part is the one after the rigid body's columns; it is zero elsewhere.
     """
-    _fill(velocity, acceleration, body.output_index, TURN_SPEEDS, columns[:, body.n_parameters:])
+    _fill(velocity, acceleration, body.output_index, turn_speeds(body), columns[:, body.n_parameters:])
 
 
 def joint_columns(body: RigidBody, velocity: Array, acceleration: Array) -> Array:
     """(N, n, (KINDS + 1) n) columns of friction and rotors, of velocities and accelerations (N, n_joints)."""
     own = velocity[:, body.output_index]
-    kinds = [own, *(np.tanh(own / speed) for speed in TURN_SPEEDS), acceleration[:, body.output_index]]
+    kinds = [own, *(np.tanh(own / speeds) for speeds in turn_speeds(body)), acceleration[:, body.output_index]]
     return np.concatenate([each[:, :, None] * np.eye(body.n_outputs) for each in kinds], axis=2)
 
 
@@ -104,12 +112,12 @@ def turning_variance(directions: Integers, theta: Vector, columns: Part) -> Vect
 
 
 @compiled
-def _fill(velocity: Strided, acceleration: Strided, index: Integers, speeds: Vector, columns: Part) -> None:
+def _fill(velocity: Strided, acceleration: Strided, index: Integers, speeds: Matrix, columns: Part) -> None:
     """See :func:`fill_joints`."""
     n = len(index)
     for k in range(n):
         v = velocity[index[k]]
         columns[k, k] = v
         for s in range(len(speeds)):
-            columns[k, (1 + s) * n + k] = np.tanh(v / speeds[s])
+            columns[k, (1 + s) * n + k] = np.tanh(v / speeds[s, k])
         columns[k, (1 + len(speeds)) * n + k] = acceleration[index[k]]
