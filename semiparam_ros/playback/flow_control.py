@@ -72,11 +72,6 @@ class FlowControl:
             self._keeps_all = depth == 0
             self.window = min(self.window, depth or self.window)
 
-    @property
-    def outstanding(self) -> int:
-        """Requests on the way."""
-        return len(self._waiting)
-
     def patience(self, item: Item) -> float:
         """Seconds until ``item`` may be published, or 0; FollowerSilent after the timeout."""
         with self._lock:

@@ -236,10 +236,6 @@ class Player:
                 self._clock.set_paused(paused)
             self._changed.notify_all()
 
-    def toggle_paused(self) -> None:
-        """Pause when playing, play when paused."""
-        self.set_paused(not self._held)
-
     def step(self) -> None:
         """Publish the next message at once and stay paused. Raises SemiparamError when not paused."""
         with self._changed:

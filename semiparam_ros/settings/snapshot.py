@@ -63,12 +63,6 @@ def refusal(settings: Settings, changes: Mapping[str, object]) -> str | None:
         return str(error)
 
 
-def differences(before: Settings, after: Settings) -> list[str]:
-    """Names of the parameters that differ."""
-    old, new = before.mapping(), after.mapping()
-    return [name for name in old if old[name] != new[name]]
-
-
 def unknown_name(name: str) -> str:
     """A sentence that names the nearest valid parameter."""
     near = nearest(name)

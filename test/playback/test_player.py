@@ -104,7 +104,7 @@ def test_a_paused_start_publishes_nothing_until_it_is_stepped_and_resumed():
         stage.player.step()
         stage.wait_for(2)
         assert stage.heard == [0, 1] and stage.player.now() == stage.player._timeline.items[1].time
-        stage.player.toggle_paused()
+        stage.player.set_paused(False)
         stage.join()
     assert stage.heard == [0, 1, 2, 3, 4] and stage.ending is Ending.FINISHED
 
