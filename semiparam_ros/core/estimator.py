@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from copy import copy, deepcopy
-from dataclasses import replace
 from math import isnan
 from typing import NamedTuple
 
@@ -438,11 +437,6 @@ class Estimator:
     def features_count(self) -> int:
         """Number D of random features in use; 0 where the model has none."""
         return self.model.recursion.n_features
-
-    def hyperparameters(self) -> Hyperparameters:
-        """Hyperparameters in use, with pi as it stands."""
-        pi = tuple(self.model.part(slice(0, self.columns.n_own)).tolist())
-        return replace(self.model.hyperparameters, pi=pi or None)
 
     def _has_jumped(self, stamp: int) -> bool:
         return self._newest is not None and not 0 <= stamp - self._newest <= LONGEST_PAUSE_NS

@@ -38,11 +38,6 @@ class MemberPrediction(NamedTuple):
     prior: Prior  # of the model alone, without wandering offset, not calibrated
     columns: Array  # (n, p) all of its C
 
-    @property
-    def model_mean(self) -> Array:
-        """(n,) mean of the model alone, without the wandering offset."""
-        return self.prior.mean
-
 
 class Prediction(NamedTuple):
     """Prediction of one sample before it is learnt, by all models together, in N, N m."""

@@ -74,11 +74,6 @@ class Prior(NamedTuple):
     columns: Matrix  # (n, p) the coupled columns
     revision: int  # of the model that it was computed from
 
-    @property
-    def regressed(self) -> Array:
-        """(n, p + 1) phi' Theta, y last with what is known of it."""
-        return self.projection.regressed.reshape(len(self.mean), -1)
-
 
 class Regression(NamedTuple):
     """Regression of what the features leave of the outputs on what they leave of the columns; R is

@@ -77,7 +77,7 @@ def predict(recursion, phi, columns, known, extra_variance):
 def learn(recursion, prior, outputs):
     """(p,) theta, and (n, p + 1) innovations of a sample."""
     _, regression = recursion.arrays
-    innovations = np.column_stack([prior.columns, outputs]) - prior.regressed
+    innovations = np.column_stack([prior.columns, outputs]) - prior.projection.regressed.reshape(len(outputs), -1)
     s = regression.tempered_sigma**2 + prior.projection.f @ prior.projection.f
     r = (regression.tempered_sigma / regression.sigma) ** 2
     rows = innovations / np.sqrt(s * regression.scale**2 + r * prior.extra_variance)[:, None]
