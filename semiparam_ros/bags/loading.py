@@ -27,7 +27,7 @@ KINDS = {layout.JOINT_STATES: readings.JOINT_STATE, layout.WRENCH: readings.WREN
 
 
 class LoadedBag(NamedTuple):
-    """Samples of a bag, the URDF it carries (None: none), refused messages by reason with the last one's sentence.
+    """Samples of a bag, the URDF it carries (None: none), refused messages by reason.
 
     ``frame_id`` is that of the wrenches, '' for efforts; ``losses`` tells what of a damaged bag could not be read.
     """
@@ -37,7 +37,6 @@ class LoadedBag(NamedTuple):
     faults: Counter[str]
     joints: tuple[str, ...]
     frame_id: str
-    last_fault: str
     losses: Losses
     stretches: tuple[int, ...]
     """Number of samples of each stretch that was read; one stretch where all was read."""
@@ -89,8 +88,8 @@ def _load(path: str | os.PathLike[str], settings: Table, most: Callable[[float],
         samples = [sample for stretch in stretches for sample in stretch]
         if not samples:
             raise SemiparamError(_nothing_matched(bag, stream, needed, bool(settings.joints)))
-        return LoadedBag(Samples.from_list(samples), description, stream.faults, joints, frame_id, stream.last_fault,
-                         bag.losses, tuple(map(len, stretches)), _of_others(bag, stream)), stream.whereabouts.alternate
+        return LoadedBag(Samples.from_list(samples), description, stream.faults, joints, frame_id, bag.losses,
+                         tuple(map(len, stretches)), _of_others(bag, stream)), stream.whereabouts.alternate
 
 
 def require_same_robot(settings: Table, bags: Sequence[LoadedBag]) -> None:

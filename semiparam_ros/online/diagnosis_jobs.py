@@ -63,7 +63,6 @@ class DiagnosisOutcome(NamedTuple):
     ``summary`` has what was found, line by line, ``words`` all that is to be said of it.
     """
 
-    verdict: str
     summary: list[str]
     words: list[str]
     report: dict[str, object]
@@ -91,7 +90,7 @@ def diagnose(body: RigidBody, batch: SampleBatch, effects: Sequence[Effect],
 
     found = diagnose(body, samples, effects, progress=progress,
                      touched=_seconds(contacts, samples.origin))
-    return DiagnosisOutcome(found.verdict, summary(found), text_report(found), found.as_dict(), declared(found))
+    return DiagnosisOutcome(summary(found), text_report(found), found.as_dict(), declared(found))
 
 
 def name_change(

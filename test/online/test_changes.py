@@ -494,8 +494,8 @@ def test_a_push_that_is_known_is_left_out_of_a_diagnosis(seconds):
     body, samples = pushed(seconds=seconds)
     batch = batch_of((sample, True) for sample in samples[(samples.time > 55.0) & (samples.time < 100.0)])
     begin, end = (samples.origin + round(at * 1e9) for at in (69.5, 70.5 + seconds))
-    assert diagnose(body, batch, []).verdict == 'effect_found'
-    assert diagnose(body, batch, [], contacts=[(begin, end)]).verdict == 'nothing_missing'
+    assert diagnose(body, batch, []).report['verdict'] == 'effect_found'
+    assert diagnose(body, batch, [], contacts=[(begin, end)]).report['verdict'] == 'nothing_missing'
 
 
 def test_a_declared_load_that_was_put_down_ends_and_is_no_second_force():
