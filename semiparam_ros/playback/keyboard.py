@@ -70,12 +70,9 @@ class Keyboard:
             if not data:
                 return
             for key in split_keys(data):
-                self._press(key)
-
-    def _press(self, key: bytes) -> None:
-        action = self._actions.get(KEYS.get(key, ''))
-        if action is not None:
-            action()
+                action = self._actions.get(KEYS.get(key, ''))
+                if action is not None:
+                    action()
 
 
 def is_foreground_terminal() -> bool:

@@ -39,31 +39,21 @@ class PlayClock:
     def __init__(self, bag_time: int, rate: float = 1.0, paused: bool = False,
                  monotonic: MonotonicClock = time.monotonic_ns) -> None:
         self._monotonic = monotonic
-        self._rate = checked_rate(rate)
-        self._paused = paused
+        self.rate, self.paused = checked_rate(rate), paused
+        """Bag seconds in one second of this machine; whether the bag time stands still."""
         self._bag_anchor = bag_time
         self._wall_anchor = monotonic()
 
-    @property
-    def rate(self) -> float:
-        """Bag seconds in one second of this machine."""
-        return self._rate
-
-    @property
-    def paused(self) -> bool:
-        """Tell whether the bag time stands still."""
-        return self._paused
-
     def now(self) -> int:
         """The present bag time [ns]."""
-        if self._paused:
+        if self.paused:
             return self._bag_anchor
-        passed = (self._monotonic() - self._wall_anchor) * self._rate
+        passed = (self._monotonic() - self._wall_anchor) * self.rate
         return self._bag_anchor + int(min(passed, float(END_OF_TIME_NS)))
 
     def seconds_until(self, bag_time: int) -> float:
         """Seconds of this machine until ``bag_time`` [ns] is due; zero or less when it is due, for a running clock."""
-        due = self._wall_anchor + (bag_time - self._bag_anchor) / self._rate
+        due = self._wall_anchor + (bag_time - self._bag_anchor) / self.rate
         return (due - self._monotonic()) * 1e-9
 
     def jump(self, bag_time: int) -> None:
@@ -74,12 +64,12 @@ class PlayClock:
         """Run at another rate from here on. Raises SemiparamError for a rate that is not above zero."""
         rate = checked_rate(rate)
         self.jump(self.now())
-        self._rate = rate
+        self.rate = rate
 
     def set_paused(self, paused: bool) -> None:
         """Stop or start the bag time."""
         self.jump(self.now())
-        self._paused = paused
+        self.paused = paused
 
 
 class Item(NamedTuple):
@@ -148,7 +138,8 @@ class Player:
         self._steps = 0
         self._target: int | None = None
         self._stopped = False
-        self._published = 0
+        self.published = 0
+        """Messages so far, every round of a loop counted."""
 
     def run(self) -> Ending:
         """Play to the end, for ever when looping, or until stopped. Errors of the gate pass through."""
@@ -187,7 +178,7 @@ class Player:
         if self._gate is not None:
             self._gate.sent(item)
         self._publish(item)
-        self._published += 1
+        self.published += 1
 
     def _wait_for(self, item: Item) -> _Next:
         """Block until the item is due and admitted, or until a seek or a stop."""
@@ -280,11 +271,6 @@ class Player:
     def paused(self) -> bool:
         """Tell whether the playback is held."""
         return self._held
-
-    @property
-    def published(self) -> int:
-        """Messages published so far, every round of a loop counted."""
-        return self._published
 
     def now(self) -> int:
         """The present bag time [ns], never beyond the end of the timeline."""
