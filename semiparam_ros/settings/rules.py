@@ -202,11 +202,7 @@ def _effect_refusal(text: str, outputs: str) -> str | None:
 
 
 def _n_outputs(table: Table) -> int | None:
-    return 6 if table.outputs == 'wrench' else len(table.output_joints) or _n_joints(table)
-
-
-def _n_joints(table: Table) -> int | None:
-    return len(table.joints) or None
+    return 6 if table.outputs == 'wrench' else len(table.output_joints or table.joints) or None
 
 
 def _n_inputs(table: Table) -> int | None:
