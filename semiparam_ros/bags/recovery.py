@@ -134,17 +134,15 @@ class _Scan:
         self._broken = True
         following = _next_chunk(self.buffer, offset)
         if following is None or following.offset > offset:
-            self._lose_chunks(_begins_like_a_chunk(self.buffer, offset))
+            lost = _begins_like_a_chunk(self.buffer, offset)
+            self.losses.chunks += lost
+            self.losses.chunks_lost += lost
         if following is None:
             self._lose(offset, len(self.buffer), 'the file ends inside a record')
             return None
         self._lose(offset, following.offset, 'a record is damaged')
         # The length of a chunk that fails its CRC may be the very thing that is damaged: look on inside it.
         return following.end if self._add_chunk(following) else following.offset + _MARKER_OFFSET
-
-    def _lose_chunks(self, count: int) -> None:
-        self.losses.chunks += count
-        self.losses.chunks_lost += count
 
     def _lose(self, start: int, end: int, reason: str) -> None:
         ranges = self.losses.byte_ranges
