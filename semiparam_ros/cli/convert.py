@@ -52,7 +52,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         'in a struct), or of the files of a folder; NAME:2 is the second column of an array. Options win over the '
         '--columns file, which holds joints, temperatures, columns, degrees, sliding (joints), period (or rate), '
         'start, time_unit, wrench_frame, wrench_sign, effort_sign, effort_factors (a mapping).'))
-    _add_bag_arguments(parser.add_argument_group('bags'))
+    bags = parser.add_argument_group('bags')
+    bags.add_argument('--topic', metavar='TOPIC[=NEW]', action='append', default=[],
+                      help='take this topic alone, under its new name if one is given; may be repeated')
+    bags.add_argument('--joint', metavar='NAME=NEW[,...]', action='append', default=[],
+                      help="rename a joint; 'fer_*=panda_*' renames all that fit; may be repeated")
+    bags.add_argument('--stamps-from-log', action='store_true',
+                      help='put the time of recording into the headers, for bags whose headers hold no time')
 
 
 def _add_table_arguments(group: Any) -> None:
@@ -72,15 +78,6 @@ def _add_table_arguments(group: Any) -> None:
     steps.add_argument('--period', type=float, metavar='SECONDS', help='time from row to row, likewise')
     group.add_argument('--start', type=float, metavar='SECONDS', help='stamp of the first row, likewise (default 1)')
     group.add_argument('--time-unit', choices=tuple(TIME_UNITS), help='unit of the time column (default s)')
-
-
-def _add_bag_arguments(group: Any) -> None:
-    group.add_argument('--topic', metavar='TOPIC[=NEW]', action='append', default=[],
-                       help='take this topic alone, under its new name if one is given; may be repeated')
-    group.add_argument('--joint', metavar='NAME=NEW[,...]', action='append', default=[],
-                       help="rename a joint; 'fer_*=panda_*' renames all that fit; may be repeated")
-    group.add_argument('--stamps-from-log', action='store_true',
-                       help='put the time of recording into the headers, for bags whose headers hold no time')
 
 
 def run(args: argparse.Namespace) -> int:

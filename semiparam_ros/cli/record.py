@@ -17,8 +17,18 @@ HELP = "Record a node's outputs beside its inputs into a new MCAP bag, until Ctr
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `semiparam record`."""
     parser.add_argument('bag', type=Path, metavar='OUT.mcap', help='the bag to write; it takes this name when complete')
-    _add_choice(parser.add_argument_group('what is recorded'))
-    _add_end(parser.add_argument_group('when it ends (without these: by Ctrl-C)'))
+    chosen = parser.add_argument_group('what is recorded')
+    chosen.add_argument('--node', nargs='+', default=[], metavar='NODE',
+                        help='what these nodes publish and subscribe to (default /estimator when nothing is named)')
+    chosen.add_argument('--topics', nargs='+', default=[], metavar='TOPIC', help='these topics')
+    chosen.add_argument('-a', '--all', action='store_true', help='every topic but /rosout and /parameter_events')
+    chosen.add_argument('-e', '--regex', metavar='RE', help='of those, only topics that match')
+    chosen.add_argument('--exclude', nargs='+', default=[], metavar='TOPIC', help='not these')
+    chosen.add_argument('-x', '--exclude-regex', metavar='RE', help='not topics that match')
+    end = parser.add_argument_group('when it ends (without these: by Ctrl-C)')
+    end.add_argument('--count', metavar='[TOPIC=]N', help='after N messages, of one topic or of all together')
+    end.add_argument('--until-idle', type=float, metavar='S', help='when nothing has arrived for so long')
+    end.add_argument('--duration', type=float, metavar='S', help='after so long')
     parser.add_argument('--compression', choices=('zstd', 'lz4', 'none'), default='zstd',
                         help='of the bag (default zstd)')
     parser.add_argument('--overwrite', action='store_true', help='replace an older bag of that name')
@@ -26,22 +36,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help='how long to wait for the named nodes and topics (default 30)')
     parser.add_argument('--quiet', action='store_true', help='show no progress')
     add_json_option(parser)
-
-
-def _add_choice(group: argparse._ArgumentGroup) -> None:
-    group.add_argument('--node', nargs='+', default=[], metavar='NODE',
-                       help='what these nodes publish and subscribe to (default /estimator when nothing is named)')
-    group.add_argument('--topics', nargs='+', default=[], metavar='TOPIC', help='these topics')
-    group.add_argument('-a', '--all', action='store_true', help='every topic but /rosout and /parameter_events')
-    group.add_argument('-e', '--regex', metavar='RE', help='of those, only topics that match')
-    group.add_argument('--exclude', nargs='+', default=[], metavar='TOPIC', help='not these')
-    group.add_argument('-x', '--exclude-regex', metavar='RE', help='not topics that match')
-
-
-def _add_end(group: argparse._ArgumentGroup) -> None:
-    group.add_argument('--count', metavar='[TOPIC=]N', help='after N messages, of one topic or of all together')
-    group.add_argument('--until-idle', type=float, metavar='S', help='when nothing has arrived for so long')
-    group.add_argument('--duration', type=float, metavar='S', help='after so long')
 
 
 def run(args: argparse.Namespace) -> int:
