@@ -282,7 +282,7 @@ def channel_groups(outputs: str) -> dict[str, slice]:
 
 def mode_figures(seeds: Sequence[Sequence[Trace]]) -> ModeFigures:
     """Errors and bands over the traces of all subsets, which ``seeds`` lists for each seed."""
-    pooled = [_pool(traces) for traces in seeds]
+    pooled = [Trace(*(np.concatenate(parts) for parts in zip(*traces, strict=True))) for traces in seeds]
     ratios = np.array([_normalised(trace) for trace in pooled])
     covered = np.array([[_coverage(trace, level) for level in LEVELS] for trace in pooled])
     known = ~np.isnan(ratios).any(axis=0)
@@ -318,10 +318,6 @@ def _phase(series: Array, within: Mask, measure: Callable[[Array], float] | None
 def _spread(values: Array) -> Spread:
     std = float(np.std(values, ddof=1)) if len(values) > 1 else None
     return Spread(float(np.mean(values)), std, tuple(float(value) for value in values))
-
-
-def _pool(traces: Sequence[Trace]) -> Trace:
-    return Trace(*(np.concatenate(parts) for parts in zip(*traces, strict=True)))
 
 
 def _normalised(trace: Trace) -> Array:

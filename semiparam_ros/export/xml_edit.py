@@ -55,8 +55,9 @@ class Editor:
     def _begin(self, tag: str, attributes: dict[str, str]) -> None:
         start = self._parser.CurrentByteIndex
         if self._text[start:start + 1] != b'<':  # it stands where the entity is declared, perhaps for several
-            raise SemiparamError(f'{self._what} holds <{tag}> by an entity ({_name_at(self._text, start)}); expected '
-                                 'it to be written out, to change it in place.')
+            entity = self._text[start:self._text.find(b';', start) + 1].decode(errors='replace')
+            raise SemiparamError(f'{self._what} holds <{tag}> by an entity ({entity}); expected it to be written out, '
+                                 'to change it in place.')
         whole = _TAG.match(self._text, start)
         element = Element(tag, attributes, start, inside=whole.end() if whole else start)
         if self._open:
@@ -124,10 +125,6 @@ class Editor:
             parts += [self._text[place:start], new]
             place = end
         return b''.join([*parts, self._text[place:]]).decode()
-
-
-def _name_at(text: bytes, place: int) -> str:
-    return text[place:text.find(b';', place) + 1].decode(errors='replace')
 
 
 def comment(sentences: str) -> str:
