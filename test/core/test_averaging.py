@@ -110,7 +110,7 @@ def test_before_the_window_is_over_the_rigid_body_without_effects_stands_beside_
         return
     plain = Estimator(ARM, replace(model.options, alone=True))
     for sample, prediction in zip(samples[:WINDOW - 1], predictions, strict=False):
-        np.testing.assert_array_equal(plain.step(sample).model_mean, prediction.members[1].model_mean)
+        np.testing.assert_array_equal(plain.step(sample).model_mean, prediction.members[1].prior.mean)
     *having, without = model.weights.values()
     best = np.max(having, axis=0)
     np.testing.assert_allclose(model.effects_probability, best / (best + without))
@@ -174,7 +174,7 @@ def test_a_desired_state_is_between_the_models_and_as_uncertain_as_on_a_block_th
     samples, model, _ = averaged
     sample = samples[COUNT // 2]
     predicted, desired = model.predict(sample), model.predict_desired(*sample[1:4])
-    means = np.array([member.model_mean for member in predicted.members])
+    means = np.array([member.prior.mean for member in predicted.members])
     assert (desired.shown >= means.min(axis=0) - 1e-9).all() and (desired.shown <= means.max(axis=0) + 1e-9).all()
     noise = np.array([each.model.noise_std for each in model.ensemble.models])
     expected = ELSEWHERE * model.ensemble.carried.expected(noise)

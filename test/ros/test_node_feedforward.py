@@ -197,7 +197,7 @@ def test_every_variant_answers_desired_states_with_effects(variant):
         estimator.step(sample)
     assert estimator.ready
     again = samples[40]._replace(stamp=samples[-1].stamp)  # a state that was learnt: features fade elsewhere
-    models = np.array([member.model_mean for member in estimator.predict(again).members])
+    models = np.array([member.prior.mean for member in estimator.predict(again).members])
     desired = feedforward.desired(estimator, *again[1:4])
     assert (desired.outputs >= models.min(axis=0) - 1e-3).all() and (desired.outputs <= models.max(axis=0) + 1e-3).all()
     assert np.isfinite(desired.efforts).all()
