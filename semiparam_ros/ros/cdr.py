@@ -156,8 +156,3 @@ def joint_state_layout_of(reading: Reading) -> Layout:
     """Layout of the joint state that was read."""
     names, *columns = reading.fields
     return joint_state_layout(reading.frame_id, names, *map(len, columns))
-
-
-def wrench_layout_of(reading: Reading) -> Layout:
-    """Layout of the wrench that was read."""
-    return wrench_layout(reading.frame_id)

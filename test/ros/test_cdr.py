@@ -20,7 +20,6 @@ from semiparam_ros.ros.cdr import (
     joint_state_layout,
     joint_state_layout_of,
     wrench_layout,
-    wrench_layout_of,
 )
 
 TEXTS = st.text(st.characters(exclude_categories=['Cs'], exclude_characters='\0'), max_size=12)
@@ -55,7 +54,7 @@ def joint_state_reader():
 
 
 def wrench_reader():
-    return Reader(WrenchStamped, readings.of_wrench, wrench_layout_of)
+    return Reader(WrenchStamped, readings.of_wrench, lambda reading: wrench_layout(reading.frame_id))
 
 
 def plain(reading):

@@ -281,7 +281,7 @@ def test_of_several_offers_the_one_is_recorded_that_every_subscriber_can_use(mon
     monkeypatch.setattr(topics, 'offers', lambda node, topic: [Qos(reliability='best_effort', depth=3), Qos(depth=2)])
     node = RecordNode.__new__(RecordNode)
     node._writer = SimpleNamespace(add_topic=lambda *topic: recorded.append(topic), write_raw=lambda *message: None)
-    node.counts, node._types, node._limits = {'/a': 0}, {'/a': TEXT}, Limits()
+    node.counts, node.topics, node._limits = {'/a': 0}, {'/a': TEXT}, Limits()
     node._write('/a', b'', 1)
     assert recorded == [('/a', TEXT, Qos(depth=3))]
 
@@ -336,7 +336,7 @@ def test_what_a_silent_robots_node_says_again_and_again_keeps_no_recording_going
     node = RecordNode.__new__(RecordNode)
     kind = 'geometry_msgs/msg/InertiaStamped'
     node.__dict__.update(_sim_time=False, _newest=0, went_back=False, _arrived=deque(), _latched=set(), _stamps={},
-                         _types={'/estimator/payload': kind, '/unstamped': kind, '/text': TEXT})
+                         topics={'/estimator/payload': kind, '/unstamped': kind, '/text': TEXT})
     stamped, later, unset = (serialize_message(message_class(kind)(header=Header(stamp=Time(sec=seconds))))
                              for seconds in (5, 6, 0))
 

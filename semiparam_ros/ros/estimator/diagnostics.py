@@ -208,7 +208,9 @@ class InputReport:
         refusals = self._refusals(news) if news else ''
         more = self._ignored() + (f' {refusals}' if news else '')  # it is news this once, beside a silence too
         if absent:
-            return Report(WARN, f'nothing received on {", ".join(absent)} yet.{more}{self._remedy(absent)}', values)
+            remedy = ' The joint states hold efforts: outputs: effort predicts those.'
+            remedy = remedy if WRENCH in absent and self._inputs.has_efforts else ''
+            return Report(WARN, f'nothing received on {", ".join(absent)} yet.{more}{remedy}', values)
         if silent:
             return Report(WARN, f'nothing received on {", ".join(silent)} for more than {SILENCE_S:g} s.{more}', values)
         if news:
@@ -237,11 +239,6 @@ class InputReport:
     def _ignored(self) -> str:
         stream = self._inputs.stream
         return f' Ignored: {stream.last_ignored}' if stream and stream.last_ignored else ''
-
-    def _remedy(self, absent: Sequence[str]) -> str:
-        if WRENCH in absent and self._inputs.has_efforts:
-            return ' The joint states hold efforts: outputs: effort predicts those.'
-        return ''
 
 
 class TimingReport:

@@ -20,7 +20,7 @@ from semiparam_ros.core.stamps import stamp_fields
 from semiparam_ros.core.types import Array
 from semiparam_ros.online.identified_parameters import CarriedLoad
 from semiparam_ros.online.learner import Answer
-from semiparam_ros.ros.cdr import Layout, joint_state_layout, wrench_layout
+from semiparam_ros.ros.cdr import joint_state_layout, wrench_layout
 
 LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
 DEPTH = 1000
@@ -52,13 +52,10 @@ class ValueMessage:
     def filled(self, stamp: int, frame_id: str, values: Array) -> bytes:
         """With a stamp [ns], and a wrench (6,) in N and N m or efforts (n,) in N m."""
         if frame_id != self._frame_id:
-            self._frame_id, self._layout = frame_id, self._laid_out(frame_id)
+            self._frame_id, joints = frame_id, self._joints
+            self._layout = wrench_layout(frame_id) if joints is None else joint_state_layout(
+                frame_id, joints, 0, 0, len(joints))
         return self._layout.write(stamp, values.tolist())
-
-    def _laid_out(self, frame_id: str) -> Layout:
-        if self._joints is None:
-            return wrench_layout(frame_id)
-        return joint_state_layout(frame_id, self._joints, 0, 0, len(self._joints))
 
 
 class HorizonMessage:

@@ -26,7 +26,7 @@ from semiparam_ros.core.robot.urdf import MOST_CHARACTERS
 from semiparam_ros.core.samples import Sample
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online.worker import Scheduler
-from semiparam_ros.ros.cdr import Layout, Reader, joint_state_layout_of, wrench_layout_of
+from semiparam_ros.ros.cdr import Layout, Reader, joint_state_layout_of, wrench_layout
 from semiparam_ros.ros.context import REPLACEABLE
 from semiparam_ros.ros.discovery import is_named, owner
 from semiparam_ros.settings.snapshot import Settings
@@ -171,7 +171,7 @@ class Feed(NamedTuple):
 
 
 FEEDS = {JOINT_STATES: Feed(JointState, readings.JOINT_STATE, joint_state_layout_of),
-         WRENCH: Feed(WrenchStamped, readings.WRENCH, wrench_layout_of),
+         WRENCH: Feed(WrenchStamped, readings.WRENCH, lambda reading: wrench_layout(reading.frame_id)),
          ACCELERATIONS: Feed(JointTrajectory, readings.ACCELERATIONS, None),
          TEMPERATURE: Feed(Temperature, readings.TEMPERATURE, None)}
 

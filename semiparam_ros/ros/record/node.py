@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 
@@ -40,7 +39,8 @@ class RecordNode(AnsweringNode):
         self._sim_time = bool(self.get_parameter('use_sim_time').value)
         self._arrived: deque[tuple[str, bytes, int]] = deque()
         self._inputs: dict[str, Subscription] = {}
-        self._types: dict[str, str] = {}
+        self.topics: dict[str, str] = {}
+        """Topic -> type of every subscription."""
         # A robot description may come long before the data that is waited for.
         self._latched: set[str] = set()
         self._stamps: dict[str, bytes] = {}
@@ -50,11 +50,6 @@ class RecordNode(AnsweringNode):
         self.went_back = False
         """Whether the time of reception ever went back, as a simulated one does where a recording starts again."""
         self._newest = 0
-
-    @property
-    def topics(self) -> Mapping[str, str]:
-        """Topic -> type of every subscription."""
-        return self._types
 
     @property
     def counted(self) -> str | None:
@@ -74,7 +69,7 @@ class RecordNode(AnsweringNode):
                 return
             self._take(topic, known)
             self.destroy_subscription(known)
-        self._types[topic] = type_name
+        self.topics[topic] = type_name
         self.counts.setdefault(topic, 0)
         profile = topics.best_qos(self, topic)
         if profile.durability == DurabilityPolicy.TRANSIENT_LOCAL:
@@ -106,7 +101,7 @@ class RecordNode(AnsweringNode):
         that hears nothing new, as `~/payload` each second."""
         if topic in STEADY or topic in self._latched:
             return False
-        stamp = raw[4:12] if begins_with_header(self._types[topic]) else b''
+        stamp = raw[4:12] if begins_with_header(self.topics[topic]) else b''
         before, self._stamps[topic] = self._stamps.get(topic), stamp
         return stamp != before or not any(stamp)
 
@@ -145,7 +140,7 @@ class RecordNode(AnsweringNode):
     def _write(self, topic: str, raw: bytes, stamp: int) -> None:
         if not self.counts[topic]:
             offers = topics.offers(self, topic)
-            self._writer.add_topic(topic, self._types[topic], agreed(offers) if offers else None)
+            self._writer.add_topic(topic, self.topics[topic], agreed(offers) if offers else None)
         self._writer.write_raw(topic, raw, stamp)
         self.counts[topic] += 1
         self.complete = self._is_full(topic)
