@@ -158,7 +158,8 @@ class Estimator:
         x, outside = beyond(self.inputs_learnt, sample, self._radians)
         if isnan(outside):
             require_finite('positions, velocities and accelerations', x)
-        memory = None if self._has_jumped(sample.stamp) else self._memory
+        jumped = self._newest is not None and not 0 <= sample.stamp - self._newest <= LONGEST_PAUSE_NS
+        memory = None if jumped else self._memory
         columns, memory = self.columns.one(sample, self._origin_at(sample.stamp), memory)
         if self.columns.effects:
             require_finite('columns of the effects', columns)
@@ -437,9 +438,6 @@ class Estimator:
     def features_count(self) -> int:
         """Number D of random features in use; 0 where the model has none."""
         return self.model.recursion.n_features
-
-    def _has_jumped(self, stamp: int) -> bool:
-        return self._newest is not None and not 0 <= stamp - self._newest <= LONGEST_PAUSE_NS
 
     def _origin_at(self, stamp: int) -> int:
         """Origin of time at a stamp, moved by what the clock jumped."""

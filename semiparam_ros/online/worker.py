@@ -211,16 +211,14 @@ class ProcessBackground:
     def _begun(self, first: Worker | None = None) -> tuple[Worker | None, SemiparamError | None]:
         """The first worker, or a new one; None where the system has no room for it, and a sentence on that."""
         try:
-            return self._watched(first or _spawned_worker()), None
+            worker = first or _spawned_worker()
+            self._process = worker.process
+            if self._closed:
+                worker.process.kill()
+            threading.Thread(target=self._watch, args=(worker.process,), name='watch', daemon=True).start()
+            return worker, None
         except (OSError, RuntimeError) as error:  # no process, or no thread that watches it
             return None, SemiparamError(f'no process can be begun beside the node ({error}).')
-
-    def _watched(self, worker: Worker) -> Worker:
-        self._process = worker.process
-        if self._closed:
-            worker.process.kill()
-        threading.Thread(target=self._watch, args=(worker.process,), name='watch', daemon=True).start()
-        return worker
 
     def _ask(self, worker: Worker, job: _ProcessJob) -> JobResult | None:
         """Have a job done, and return its result; None: the process died."""
