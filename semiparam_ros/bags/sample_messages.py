@@ -1,53 +1,40 @@
-"""Messages of a sample, as topic and fields, for bags made of tables and of simulations."""
+"""Messages of a sample, put into bags that are made of tables and of simulations.
+
+Each is on its topic of :mod:`semiparam_ros.bags.recording_layout`, and its time is the stamp [ns] of its header.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
 
 from semiparam_ros.bags import recording_layout as layout
 from semiparam_ros.bags.writer import BagWriter
 from semiparam_ros.core.stamps import stamp_fields
 
 
-class SampleMessage(NamedTuple):
-    """Message with a header, on its topic of :mod:`semiparam_ros.bags.recording_layout`."""
-
-    topic: str
-    stamp: int  # [ns]
-    fields: dict[str, Any]
-
-    def put(self, bag: BagWriter) -> None:
-        """Append the message to a bag; its header's stamp is its time."""
-        bag.write(self.topic, layout.TYPES[self.topic], self.fields, self.stamp)
-
-
-def joint_state(stamp: int, joints: Sequence[str], position: Sequence[float],
-                velocity: Sequence[float], effort: Sequence[float] = ()) -> SampleMessage:
+def joint_state(bag: BagWriter, stamp: int, joints: Sequence[str], position: Sequence[float],
+                velocity: Sequence[float], effort: Sequence[float] = ()) -> None:
     """Joint state of positions, velocities and perhaps efforts, (n_joints,) each."""
-    return SampleMessage(layout.JOINT_STATES, stamp, {
-        'header': _header(stamp), 'name': list(joints), 'position': list(position),
-        'velocity': list(velocity), 'effort': list(effort)})
+    _put(bag, layout.JOINT_STATES, stamp, name=list(joints), position=list(position), velocity=list(velocity),
+         effort=list(effort))
 
 
-def accelerations(stamp: int, joints: Sequence[str], **point: Sequence[float]) -> SampleMessage:
+def accelerations(bag: BagWriter, stamp: int, joints: Sequence[str], **point: Sequence[float]) -> None:
     """Trajectory of one point: ``accelerations`` (n_joints,), perhaps positions and velocities."""
-    return SampleMessage(layout.JOINT_ACCELERATIONS, stamp, {
-        'header': _header(stamp), 'joint_names': list(joints), 'points': [point]})
+    _put(bag, layout.JOINT_ACCELERATIONS, stamp, joint_names=list(joints), points=[point])
 
 
-def wrench(stamp: int, frame: str, values: Sequence[float]) -> SampleMessage:
+def wrench(bag: BagWriter, stamp: int, frame: str, values: Sequence[float]) -> None:
     """Wrench (6,), force [N] before torque [N m], in a frame."""
     force, torque = (dict(zip('xyz', part, strict=True)) for part in (values[:3], values[3:]))
-    return SampleMessage(layout.WRENCH, stamp, {
-        'header': _header(stamp, frame), 'wrench': {'force': force, 'torque': torque}})
+    _put(bag, layout.WRENCH, stamp, frame, wrench={'force': force, 'torque': torque})
 
 
-def temperature(stamp: int, frame: str, value: float) -> SampleMessage:
+def temperature(bag: BagWriter, stamp: int, frame: str, value: float) -> None:
     """Temperature [deg C] of a joint or a sensor, which ``frame`` names."""
-    return SampleMessage(layout.TEMPERATURE, stamp, {
-        'header': _header(stamp, frame), 'temperature': value})
+    _put(bag, layout.TEMPERATURE, stamp, frame, temperature=value)
 
 
-def _header(stamp: int, frame: str = '') -> dict[str, Any]:
-    return {'stamp': stamp_fields(stamp), 'frame_id': frame}
+def _put(bag: BagWriter, topic: str, stamp: int, frame: str = '', **fields: object) -> None:
+    header = {'stamp': stamp_fields(stamp), 'frame_id': frame}
+    bag.write(topic, layout.TYPES[topic], {'header': header, **fields}, stamp)

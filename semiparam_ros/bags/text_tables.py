@@ -15,7 +15,6 @@ from typing import Any, NamedTuple
 from semiparam_ros.bags import sample_messages
 from semiparam_ros.bags.array_files import array_lines, holds_arrays, raise_unmatched
 from semiparam_ros.bags.conversion import write_description
-from semiparam_ros.bags.sample_messages import SampleMessage
 from semiparam_ros.bags.text_lines import filled, number_in, text_lines
 from semiparam_ros.bags.writer import BagWriter
 from semiparam_ros.core.robot.urdf import joint_types, parse
@@ -296,11 +295,10 @@ def convert_table(path: str | os.PathLike[str], layout: TableLayout, bag: BagWri
                 write_description(bag, robot_description, row.stamp)
         summary.end_ns = row.stamp
         summary.not_finite += not all(math.isfinite(value) for part in row[1:6] for value in part)
-        for message in _messages(row, layout):
-            message.put(bag)
+        _write(bag, row, layout)
         for name, value in zip(layout.temperatures, row.temperature, strict=False):
             if math.isfinite(value) and value != written.get(name):
-                sample_messages.temperature(row.stamp, name, value).put(bag)
+                sample_messages.temperature(bag, row.stamp, name, value)
                 written[name] = value
     if not summary.rows:
         raise SemiparamError(f'{str(path)!r} holds no row of numbers.')
@@ -428,11 +426,11 @@ def _float(cell: str, role: str, where: str) -> float:
         raise SemiparamError(f'{where}: {cell!r} is not a number ({role}).') from None
 
 
-def _messages(row: RecordedRow, layout: TableLayout) -> Iterator[SampleMessage]:
-    yield sample_messages.joint_state(row.stamp, layout.joints, row.position, row.velocity, row.effort)
+def _write(bag: BagWriter, row: RecordedRow, layout: TableLayout) -> None:
+    sample_messages.joint_state(bag, row.stamp, layout.joints, row.position, row.velocity, row.effort)
     if row.acceleration:
-        yield sample_messages.accelerations(
-            row.stamp, layout.joints, positions=row.position, velocities=row.velocity,
+        sample_messages.accelerations(
+            bag, row.stamp, layout.joints, positions=row.position, velocities=row.velocity,
             accelerations=row.acceleration)
     if row.wrench:
-        yield sample_messages.wrench(row.stamp, layout.wrench_frame, row.wrench)
+        sample_messages.wrench(bag, row.stamp, layout.wrench_frame, row.wrench)

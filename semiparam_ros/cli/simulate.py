@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,7 +11,7 @@ from semiparam_ros.core.stamps import NANOSECONDS
 from semiparam_ros.errors import SemiparamError
 
 if TYPE_CHECKING:
-    from semiparam_ros.bags.sample_messages import SampleMessage
+    from semiparam_ros.bags.writer import BagWriter
     from semiparam_ros.simulation import EffectRequest, Scenario, SimulatedRecording
 
 HELP = 'Simulate a recording of an arm, with undeclared effects on request, and tell the truth in a file.'
@@ -160,26 +159,24 @@ def write_bag(path: Path, recording: SimulatedRecording) -> None:
     with BagWriter(path) as bag:
         write_description(bag, recording.urdf, int(recording.stamps[0]))
         for row, stamp in enumerate(recording.stamps.tolist()):
-            for message in messages(recording, row, stamp):
-                message.put(bag)
+            write_row(bag, recording, row, stamp)
 
 
-def messages(recording: SimulatedRecording, row: int, stamp: int) -> Iterator[SampleMessage]:
-    """Messages of every measurement of one sample, whose stamp is in ns."""
+def write_row(bag: BagWriter, recording: SimulatedRecording, row: int, stamp: int) -> None:
+    """Write every measurement of one sample, whose stamp is in ns."""
     from semiparam_ros.bags import sample_messages
 
     joints, values = recording.joint_names, recording.outputs[row].tolist()
-    yield sample_messages.joint_state(
-        stamp, joints, recording.position[row].tolist(), recording.velocity[row].tolist(),
+    sample_messages.joint_state(
+        bag, stamp, joints, recording.position[row].tolist(), recording.velocity[row].tolist(),
         values if recording.outputs_kind == 'effort' else ())
     if recording.temperature is not None and is_read(recording, row):
         for name, value in zip(recording.temperatures, recording.temperature[row].tolist(), strict=True):
-            yield sample_messages.temperature(stamp, name, value)
+            sample_messages.temperature(bag, stamp, name, value)
     if recording.acceleration is not None:
-        yield sample_messages.accelerations(
-            stamp, joints, accelerations=recording.acceleration[row].tolist())
+        sample_messages.accelerations(bag, stamp, joints, accelerations=recording.acceleration[row].tolist())
     if recording.outputs_kind == 'wrench':
-        yield sample_messages.wrench(stamp, recording.frame_id, values)
+        sample_messages.wrench(bag, stamp, recording.frame_id, values)
 
 
 def is_read(recording: SimulatedRecording, row: int) -> bool:

@@ -211,9 +211,9 @@ def with_another_robot(path, samples, others):
         messages = [(message.log_time, partial(bag.write, message.topic, message.type, message.data, message.log_time))
                     for message in alone.messages()]
         for stamp, position, velocity, *_ in others:
-            state = sample_messages.joint_state(stamp + PERIOD_NS // 2, JOINTS, (position + 1.0).tolist(),
-                                                velocity.tolist())
-            messages.append((state.stamp, partial(state.put, bag)))
+            between = stamp + PERIOD_NS // 2
+            messages.append((between, partial(sample_messages.joint_state, bag, between, JOINTS,
+                                              (position + 1.0).tolist(), velocity.tolist())))
         for _, write in sorted(messages, key=itemgetter(0)):
             write()
     return path

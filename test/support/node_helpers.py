@@ -142,12 +142,12 @@ def write_bag(path, samples, joints=JOINTS, description=URDF, frame='ft', measur
             write_description(bag, description, samples[0].stamp)
         for sample in samples:
             sample_messages.joint_state(
-                sample.stamp, joints, sample.position.tolist(), sample.velocity.tolist()).put(bag)
+                bag, sample.stamp, joints, sample.position.tolist(), sample.velocity.tolist())
             if measured:
                 sample_messages.accelerations(
-                    sample.stamp, joints, accelerations=sample.acceleration.tolist()).put(bag)
+                    bag, sample.stamp, joints, accelerations=sample.acceleration.tolist())
             if not wrench_late_ns or sample is not samples[-1]:
-                sample_messages.wrench(sample.stamp + wrench_late_ns, frame, sample.outputs.tolist()).put(bag)
+                sample_messages.wrench(bag, sample.stamp + wrench_late_ns, frame, sample.outputs.tolist())
     return path
 
 

@@ -37,6 +37,6 @@ def write_arm(path: Path, length: int, seed: int = 1, start: int = 0, bias: floa
             position, velocity = np.sin(angle), frequency * np.cos(angle)
             wrench = body.regressor(position, velocity, -(frequency**2) * np.sin(angle)) @ (1.2 * body.base_parameters)
             wrench = wrench + bias + 0.05 * rng.standard_normal(6)
-            sample_messages.joint_state(stamp, JOINTS, position.tolist(), velocity.tolist()).put(bag)
-            sample_messages.wrench(stamp, FRAME, wrench.tolist()).put(bag)
+            sample_messages.joint_state(bag, stamp, JOINTS, position.tolist(), velocity.tolist())
+            sample_messages.wrench(bag, stamp, FRAME, wrench.tolist())
     return path
