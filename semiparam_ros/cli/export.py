@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -71,7 +70,7 @@ def run(args: argparse.Namespace) -> int:
     from semiparam_ros.settings import load_params
     from semiparam_ros.settings.robot_description import resolved
 
-    paths = {form: _path(args, form) for form in FORMS}
+    paths: dict[str, Path | None] = {form: getattr(args, form.replace('-', '_')) for form in FORMS}
     if args.flange and not any(paths[form] for form in AT_FLANGE):
         raise SemiparamError(f'--flange {args.flange} tells where a load is told to a controller, but no file for one '
                              f'is asked for; expected --{", --".join(AT_FLANGE)} FILE.')
@@ -96,11 +95,6 @@ def run(args: argparse.Namespace) -> int:
     for path in filter(None, (*written, args.json)):
         options.tell(f'written: {path}')
     return 0
-
-
-def _path(args: argparse.Namespace, form: str) -> Path | None:
-    path: Path | None = getattr(args, form.replace('-', '_'))
-    return path
 
 
 def _estimate(args: argparse.Namespace, settings: Settings) -> tuple[Estimate, str]:
@@ -168,8 +162,9 @@ def _require_right_setup(args: argparse.Namespace, body: RigidBody, samples: Sam
     from semiparam_ros.diagnosis.setup.checks import NO_MATCH, setup_problems
     from semiparam_ros.export.controllers import require_possible
 
-    for form in filter(partial(_path, args), FORMS):
-        require_possible(form, body)
+    for form in FORMS:
+        if getattr(args, form.replace('-', '_')):
+            require_possible(form, body)
     for problem in setup_problems(body, samples, effects=effects) if samples else ():
         if problem.what != NO_MATCH:
             raise SemiparamError(f'{args.source}: {problem.sentence}')
