@@ -50,7 +50,7 @@ class HeldReplies:
 
     def __init__(self, node: Node, announcement: Callable[[], str]) -> None:
         self._node, self._announcement = node, announcement
-        self._held: list[DelayedReply] = []
+        self._held: DelayedReply | None = None
         self._timer: Timer | None = None
         for service in node.services:
             if service.srv_name.endswith(NAMES):
@@ -58,10 +58,9 @@ class HeldReplies:
 
     def settle(self, success: bool, sentence: str) -> None:
         """The model is there, or cannot be built."""
-        for held in self._held:
-            for result in results_of(held.response):
-                if result.successful and result.reason:
-                    result.successful, result.reason = success, sentence
+        for result in results_of(self._held.response) if self._held else ():
+            if result.successful and result.reason:
+                result.successful, result.reason = success, sentence
         self.release()
 
     def overtake(self) -> None:
@@ -70,12 +69,12 @@ class HeldReplies:
 
     def release(self) -> None:
         """Send what waits as it is."""
-        held, self._held = self._held, []
+        held, self._held = self._held, None
         if self._timer is not None:
             self._node.destroy_timer(self._timer)
             self._timer = None
-        for reply in held:
-            reply.send()
+        if held is not None:
+            held.send()
 
     def _hold_replies_of(self, service: Service) -> None:
         send = service.send_response
@@ -91,7 +90,7 @@ class HeldReplies:
 
     def _hold(self, reply: DelayedReply) -> None:
         self.release()  # an earlier wish is overtaken by this one
-        self._held.append(reply)
+        self._held = reply
         self._timer = steady_timer(self._node, PATIENCE_S, self._expire)
 
     def _expire(self) -> None:
