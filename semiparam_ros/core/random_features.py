@@ -48,6 +48,11 @@ class RandomFeatures:
         _features(self._omega, self._phase, self._norm, x, phi)
         return phi
 
+    def batch(self, x: Array) -> Array:
+        """(N, D) features of inputs (N, m)."""
+        z = x @ self._omega - self._phase
+        return np.asarray(np.hstack([np.cos(z), np.sin(z)]) * self._norm)
+
     def kernel(self, x: Array, others: Array) -> Array:
         """(N, M) what phi(x)'phi(x') tends to with ever more features, of inputs (N, m) and (M, m)."""
         return _kernel(np.ascontiguousarray(x), np.ascontiguousarray(others), 1.0 / self._divisor)
