@@ -20,6 +20,7 @@ from semiparam_ros.effects.periodic import kept_of_a_sine, strongest_peaks
 
 ORDER_STEP, ORDER_BINS = 0.1, 2**18
 ORDERS = ORDER_STEP * np.arange(20, 2400)
+"""Of what turns [1/rad]. A slide has no turn of its own, so its reach counts as one."""
 ORDER_REACH = 0.15
 """A line search looks at least so far [1/rad] on either side of an order: past its neighbours among ORDERS."""
 PEAKS = 3
@@ -183,11 +184,13 @@ class TransmissionRipple(JointEffect):
         joint, channel = joint_index(body, where), channel_index(body, where)
         position, left = samples.position[:, joint], residual[:, channel] - residual[:, channel].mean()
         reach = max(float(np.ptp(position)), 1e-6)
-        orders = ORDERS[ORDERS * reach > 2.0 * np.pi]
+        turned = position * (2.0 * np.pi / reach if where in body.prismatic else 1.0)
+        orders = ORDERS[ORDERS * np.ptp(turned) > 2.0 * np.pi]
         if not len(orders):
             return ()
-        power = _order_spectrum(position, left)[len(ORDERS) - len(orders):]
-        return [{'order': float(orders[index])} for index in strongest_peaks(power, PEAKS)]
+        power = _order_spectrum(turned, left)[len(ORDERS) - len(orders):]
+        scale = float(np.ptp(turned)) / reach
+        return [{'order': scale * float(orders[index])} for index in strongest_peaks(power, PEAKS)]
 
     def bounds(self, name: str, body: RigidBody, samples: Samples, residual: Array) -> tuple[float, float]:
         reach = float(np.ptp(samples.position[:, joint_index(body, self.where)]))

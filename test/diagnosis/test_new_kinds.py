@@ -22,7 +22,7 @@ from semiparam_ros.errors import SemiparamError
 from semiparam_ros.experiments.scoreboard import body_of, samples_of
 from semiparam_ros.simulation.scenario import EffectRequest, Scenario
 from semiparam_ros.simulation.simulate import simulate
-from support.arms import TWO_ARMS, TWO_ARMS_JOINTS, noisy, pinocchio_efforts, smooth_motion
+from support.arms import ODD_ARM, TWO_ARMS, TWO_ARMS_JOINTS, noisy, pinocchio_efforts, smooth_motion
 
 COMPETITORS = ['joint_offset', 'gravity_tilt', 'time_delay', 'payload', 'external_force']
 
@@ -84,6 +84,22 @@ def test_a_joint_is_coupled_to_the_one_that_carries_it_in_whichever_order_joints
     moved = coupled('b_shoulder', {'ratio': 0.3}).correct(arms, smooth_motion(5, 3), None)[1].position
     still = smooth_motion(5, 3).position
     np.testing.assert_allclose(moved[:, 3], still[:, 3] + 0.3 * still[:, TWO_ARMS_JOINTS.index('waist')])
+
+
+def scaled(motion, share, middle=0.0):
+    """The same motion, smaller and about another middle."""
+    return replace(motion, position=middle + share * motion.position, velocity=share * motion.velocity,
+                   acceleration=share * motion.acceleration)
+
+
+def test_a_screw_of_any_lead_ripples():
+    """Orders were tried up to 240 for each radian or metre, so a lead of less than 26 mm was no ripple."""
+    slide = RigidBody.from_urdf(ODD_ARM, ['lift'], 'effort')
+    motion, order = scaled(smooth_motion(1, 1500, speed=0.5), 0.1), 2.0 * np.pi / 0.008
+    exact = slide.regressors(motion) @ slide.base_parameters + 0.5 * np.sin(order * motion.position)
+    found = diagnose(slide, replace(motion, outputs=noisy(exact, 0.002)), only=['transmission_ripple'])
+    assert names(found) == [('transmission_ripple', 'lift')]
+    assert found.findings[0].parameters['order'].value == pytest.approx(order, rel=1e-3)
 
 
 @pytest.mark.parametrize('frequency', [12.0, 33.0])
