@@ -45,7 +45,7 @@ class Explained:
     """Part that columns (N, n, c) explain beyond the declared ones of a fit.
 
     :param products: those of the columns. :param coefficients: (c,).
-    :param rank: directions that the declared columns do not hold already.
+    :param rank: directions that the declared columns do not hold already; a share of each that the prior tells too.
     :param refit: (p,) by which the coefficients of the declared columns change.
     :param loss: what is left of the fit's, where nothing is known of the coefficients.
     """
@@ -54,7 +54,7 @@ class Explained:
     columns: Array
     products: list[Products]
     coefficients: Array
-    rank: int
+    rank: float
     refit: Array
     loss: float
 
@@ -270,7 +270,7 @@ class Fit:
 
     def _regressed(
             self, products: list[Products], count: int, prior: tuple[Array, Array] | None = None,
-    ) -> tuple[Array, Array, int, Array, Array]:
+    ) -> tuple[Array, Array, float, Array, Array]:
         """Coefficients (c,), their covariance, rank, the refit (p, c) of the declared columns, and the right side."""
         inner, right = np.zeros((count, count)), np.zeros(count)
         shared = np.zeros((self.n_columns, count))
@@ -279,9 +279,12 @@ class Fit:
             inner[np.ix_(each.acting, each.acting)] += weight * each.inner
             right[each.acting] += weight * each.right
             shared[np.ix_(self.design.support[each.channel], each.acting)] += weight * each.shared
-        if prior is not None:
-            inner, right = inner + np.diag(prior[1]), right + prior[1] * prior[0]
         cross = cho_solve(self.factor, shared)
+        if prior is not None:
+            right = right + prior[1] * prior[0]
+            if np.all(prior[1] > 0.0):
+                return *_solve_beside(inner - shared.T @ cross, right, prior[1] ** -0.5), cross, right
+            inner = inner + np.diag(prior[1])
         power = np.diag(inner).copy()
         solved = _solve(inner - shared.T @ cross, right, power, self.config.negligible)
         return *solved, cross, right
@@ -392,3 +395,12 @@ def _solve(inner: Array, right: Array, power: Array, absorbed: float) -> tuple[A
     keep = values > absorbed
     inverse = (vectors[:, keep] / values[keep]) @ vectors[:, keep].T / np.outer(size, size)
     return inverse @ right, inverse, int(keep.sum())
+
+
+def _solve_beside(inner: Array, right: Array, deviation: Array) -> tuple[Array, Array, float]:
+    """Least squares from normal equations beside prior standard deviations (c,): as many directions count as the
+    samples tell, each by the share of its variance that they take away."""
+    values, vectors = np.linalg.eigh(inner * np.outer(deviation, deviation))
+    values, vectors = np.maximum(values, 0.0), deviation[:, None] * vectors
+    inverse = (vectors / (1.0 + values)) @ vectors.T
+    return inverse @ right, inverse, float(np.sum(values / (1.0 + values)))

@@ -10,7 +10,7 @@ from semiparam_ros.core.columns import CoupledColumns, shaping_order
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Array
-from semiparam_ros.diagnosis.regression import Fit, predicted
+from semiparam_ros.diagnosis.regression import Explained, Fit, predicted
 from semiparam_ros.effects import Effect
 
 DERIVATIVE_STEP = 1e-3
@@ -42,6 +42,17 @@ def not_held_by(known: Sequence[Effect], effect: Effect) -> list[Effect]:
     """Effects of the known ones that hold nothing of what another one holds: it takes the place of the rest."""
     parts = held([effect])
     return [each for each in known if not held([each]) & parts]
+
+
+def explained_by(fit: Fit, effect: Effect, columns: Array) -> Explained:
+    """What an effect explains by its columns (N, n, c), its coefficients or calibrations as they may be beforehand.
+
+    Without that a direction that the rigid body nearly holds, as a spring's beside weights, counts for nothing.
+    """
+    if effect.is_calibration:
+        mean = np.zeros(len(effect.calibrations))
+        return fit.explain(columns, (mean, float(fit.correlation.mean()) * effect.calibration_scale(fit.body)**-2.0))
+    return fit.explain(columns, (effect.prior_mean(fit.body), effect.prior_scale(fit.body)**-2.0))
 
 
 def added_columns(fit: Fit, effect: Effect) -> Array:

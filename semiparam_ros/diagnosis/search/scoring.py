@@ -19,7 +19,7 @@ from semiparam_ros.core.robot.frames import links_beside, nearest_link
 from semiparam_ros.core.types import Array
 from semiparam_ros.diagnosis.data.splits import correlation_times
 from semiparam_ros.diagnosis.regression import Fit, reweighted, with_effects
-from semiparam_ros.diagnosis.search.candidates import added_columns, identity, not_held_by
+from semiparam_ros.diagnosis.search.candidates import added_columns, explained_by, identity, not_held_by
 from semiparam_ros.diagnosis.search.refit import gauss_newton
 from semiparam_ros.diagnosis.search.spans import best_spans
 from semiparam_ros.effects import Effect
@@ -42,7 +42,7 @@ class Trial:
     """
 
     effect: Effect
-    n_parameters: int
+    n_parameters: float
     squares: Array
     residual: Callable[[], Array] | None = None
     physical: bool = True  # the cause can have these coefficients
@@ -63,7 +63,7 @@ def coarse_trial(fit: Fit, kind: type[Effect], where: str | None) -> Trial | Non
     tried = kind.searches(fit.body, fit.samples, where, fit.residual)
     for values in [*tried, *_as_replaced(known, fit, kind, tried)]:
         effect, columns = _started(fit, kind.from_values(where, values, reference))
-        told = fit.explain(columns)
+        told = explained_by(fit, effect, columns)
         physical = effect.is_calibration or effect.physical(told.coefficients)
         if physical and (best is None or told.loss < best[0]):
             best = told.loss, effect, columns
@@ -104,7 +104,7 @@ def _linear_trial(fit: Fit, effect: Effect) -> Trial:
 
 
 def _fitted(fit: Fit, effect: Effect, columns: Array) -> Trial:
-    explained, residual = fit.explain(columns), partial(_left_by, fit, effect)
+    explained, residual = explained_by(fit, effect, columns), partial(_left_by, fit, effect)
     if effect.is_calibration:
         names = [coefficient.name for coefficient in effect.calibrations]
         effect = effect.with_values(**dict(zip(names, explained.coefficients.tolist(), strict=True)))
@@ -115,7 +115,7 @@ def _fitted(fit: Fit, effect: Effect, columns: Array) -> Trial:
 
 def _left_by(fit: Fit, effect: Effect) -> Array:
     """(N, n) residual beside an effect, with the best coefficients."""
-    return fit.explain(added_columns(fit, effect)).residual
+    return explained_by(fit, effect, added_columns(fit, effect)).residual
 
 
 def squared_loss(fit: Fit, trial: Trial) -> float:
@@ -195,7 +195,7 @@ def _at_best_point(fit: Fit, trial: Trial) -> Trial:
 def _towards_best_point(fit: Fit, effect: Effect) -> Effect:
     """One step of the point of application, which is then given in the frame of the link nearest to it."""
     here = added_columns(fit, effect)
-    coefficients = fit.explain(here).coefficients
+    coefficients = explained_by(fit, effect, here).coefficients
     place = {axis: effect.value(axis) for axis in POINT}
     moved = [effect.with_values(**{axis: value + POINT_DIFFERENCE}) for axis, value in place.items()]
     slopes = [(added_columns(fit, there) - here) @ (coefficients / POINT_DIFFERENCE) for there in moved]
@@ -211,7 +211,7 @@ def line_searched(fit: Fit, effect: Effect, name: str) -> Effect:
 
     def cost(value: float) -> float:
         moved = effect.with_values(**{name: value})
-        return fit.explain(added_columns(fit, moved)).loss
+        return explained_by(fit, moved, added_columns(fit, moved)).loss
 
     best = minimize_scalar(cost, bounds=(low, high), method='bounded',
                            options={'maxiter': fit.config.refine_evaluations})
