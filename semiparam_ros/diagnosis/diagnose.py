@@ -235,7 +235,6 @@ def _solved() -> Iterator[None]:
                              'description may be in other units.') from error
 
 
-@_solved()
 def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), train_mask: Mask | None = None,
              other: tuple[str, Samples] | None = None, only: Sequence[str] = (),
              progress: Progress = lambda words, share: None, config: DiagnosisConfig = DEFAULTS,
@@ -250,13 +249,30 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
     :param progress: called with a few words and the share of the round that is done.
     :param config: thresholds other than the usual ones.
     :param touched: [s] between which the robot is known to have been touched, which is left out;
-        of a single recording.
+        of a single recording. Touches that show in what is left are left out too, and the rest is searched anew.
 
     Raises SemiparamError when the recording is too short, too little of it can be used, nothing moves in it, or an
     output never changes; where its clock is wrong, that may be why, and the error says so.
     """
+    of = partial(_diagnosed, body, samples, effects, train_mask, other, only, progress, config, names)
+    found = of(touched)
+    if not found.contacts:
+        return found
+    beside = found.everything.samples.averaged_s  # of the means there, a part may be touched
+    try:  # large touches bend what is found, and hide small causes
+        return of([*touched, *((each.start_s - beside, each.end_s + beside) for each in found.contacts)])
+    except SemiparamError as error:
+        return replace(found, notes=[*found.notes, f'The touches stay in the fit: without them {error}'])
+
+
+@_solved()
+def _diagnosed(body: RigidBody, samples: Samples, effects: Sequence[Effect], train_mask: Mask | None,
+               other: tuple[str, Samples] | None, only: Sequence[str], progress: Progress, config: DiagnosisConfig,
+               names: Sequence[str], touched: Sequence[tuple[float, float]]) -> Diagnosis:
+    """See :func:`diagnose`, of which this is one search."""
     check(samples, body, config)
-    again = partial(diagnose, body, samples, effects, train_mask, other, only, progress, names=names, touched=touched)
+    again = partial(_diagnosed, body, samples, effects, train_mask, other, only, progress, names=names,
+                    touched=touched)
     names = tuple(names) or tuple(str(number) for number in range(1, len(samples.recordings) + 1))
     effects = [effect.in_recording(samples.origin) for effect in effects] + own_offsets(body, samples)
     suspected = _suspected(body, samples, effects, config, touched)
@@ -472,7 +488,7 @@ def _notes(samples: Samples, start: _Start, found: list[Finding], names: Sequenc
     count, left_out = int((~start.clean).sum()), list[str]()
     if count:
         left_out = [f'{count} of {len(samples)} samples are left out: next to gaps, shocks and breaks, or while the '
-                    'robot was known to be touched.']
+                    'robot was touched.']
     return [*stamps, *unidentifiable(start.first.body, samples, config, names), *left_out,
             *_changed_in_gaps(found, samples, names, config)]
 

@@ -121,7 +121,7 @@ def _description(diagnosis: Diagnosis) -> str:
 
 
 def _contacts(diagnosis: Diagnosis) -> list[str]:
-    """When the arm was touched and where; the recording without these stretches tells more."""
+    """When the arm was touched and where; the findings are of the rest."""
     if not diagnosis.contacts:
         return []
     units = dict(zip(diagnosis.first.body.output_names, diagnosis.first.body.output_units, strict=True))
@@ -135,7 +135,7 @@ def _contacts(diagnosis: Diagnosis) -> list[str]:
                      + (f', and {listed([other for other in contact.channels if other != name])}'
                         if len(contact.channels) > 1 else '') + '.')
     count = 'once' if len(lines) == 1 else f'{len(lines)} times'
-    return [f'The arm seems to have been touched {count}; record without that, or leave these stretches out:', *lines]
+    return [f'The arm seems to have been touched {count}:', *lines]
 
 
 def when(diagnosis: Diagnosis, effect: Effect, dated: bool = True) -> str:
@@ -239,8 +239,6 @@ def next_step(diagnosis: Diagnosis, written: str = '') -> str:
     rivals = [finding for finding in diagnosis.findings if finding.rivals]
     if diagnosis.setup:
         return 'put right what is said above, and diagnose again: nothing else is worth reading before.'
-    if diagnosis.contacts:
-        return 'record the same motion again without touching the arm.'
     if rivals:
         return f'to be sure of {rivals[0].effect.kind}, record {kinds()[rivals[0].effect.kind].separated_by}.'
     if diagnosis.verdict == 'unexplained':

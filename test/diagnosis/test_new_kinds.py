@@ -263,4 +263,22 @@ def test_touches_are_named_with_their_times_and_the_link():
     assert any('touched 3 times' in line for line in lines)
     assert any('on the link after r_elbow or beyond it' in line for line in lines)
     assert len(found.as_dict()['contacts']) == 3
+    assert any('or while the robot was touched' in line for line in lines)
     assert diagnose(body, samples, only=['joint_offset']).contacts == []
+
+
+def test_touches_neither_bend_nor_hide_friction():
+    """They stayed in the fit: of a six-axis arm 4 of 12 frictions were not found, and 3 were off by 4 to 17 deviations.
+    """
+    _, body, samples = recorded('effort')
+    rubbed = samples.outputs + (friction := 0.02 * samples.outputs.std(axis=0)) * samples.velocity
+    touched, time = rubbed.copy(), samples.time
+    for start, last in ((5.0, 3), (17.0, 2), (29.0, 3)):
+        inside = (time >= start) & (time < start + 0.8)
+        touched[inside, :last + 1] += samples.outputs.std(axis=0)[:last + 1]
+    found, free = (diagnose(body, replace(samples, outputs=outputs), only=['viscous_friction'])
+                   for outputs in (touched, rubbed))
+    assert len(found.contacts) == 3 and sorted(names(found)) == sorted(names(free))
+    for finding in found.findings:
+        value = finding.parameters['viscous']
+        assert abs(value.value - friction[body.joints.index(finding.effect.where)]) < 3.0 * value.std

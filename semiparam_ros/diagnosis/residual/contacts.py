@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.ndimage import binary_dilation, minimum_filter1d
+from scipy.ndimage import binary_dilation, grey_opening
 
 from semiparam_ros.core.types import Array, Mask
 from semiparam_ros.diagnosis.data.outliers import NORMAL_MAD
@@ -72,7 +72,7 @@ def _deviations(fit: Fit) -> Array:
                                    for values, use in zip(left.T, fit.counted.T, strict=True)])
     scale = np.maximum(scale, 1e-6 * np.abs(fit.samples.outputs).max(axis=0) + 1e-12)
     deviations = left / scale * (fit.counted & ~_turning(fit))
-    deviations = minimum_filter1d(deviations, fit.config.contact_samples, axis=0)  # a single sample counts for nothing
+    deviations = grey_opening(deviations, (fit.config.contact_samples, 1))  # a single sample counts for nothing
     inside = np.flatnonzero(fit.train_mask)
     deviations[:inside[0] + 1] = deviations[inside[-1]:] = 0.0  # a smoother sees the ends from one side
     return deviations
