@@ -24,7 +24,8 @@ and lengths (:class:`~semiparam_ros.online.contact_gate.Tail`). Motion that the 
 weighs less.
 
 *Telling.* What stands out is judged by the log evidence of each hypothesis over the free one, with
-noise kappa S^2. kappa is the usual mean square, and grows with what the best hypothesis leaves:
+noise kappa S^2. kappa is the usual mean square, and grows with what the best hypothesis leaves, and with
+what it explains beside what the model predicts of the robot's bodies, for it is no more exact than these:
 
     changed    h' (kappa I + A)^-1 h / (2 kappa) - log|I + A / kappa| / 2 - price
     touched    the same of a w that goes along a line from each edge of the blocks to the next one,
@@ -413,6 +414,7 @@ class ChangeDetector:
         self._turned: Array = np.zeros((n, 0))
         self._mapped_at = 0.0
         self._added, self._unlike = np.zeros((0, 2, n)), np.zeros(2)
+        self._carried = 0.0
         self._seconds, self._start, self._samples = 0.0, 0, 0
 
     @property
@@ -512,6 +514,8 @@ class ChangeDetector:
             self._mapped_at = self._seconds
             self._unlike += (distance(sample.inputs) > LARGEST_DISTANCE, 1.0)
         unweighed = sample.outputs - columns @ reference - self._turned @ self._known_turns
+        of_bodies = weight * (columns[:, self._rigid] @ reference[self._rigid])
+        self._carried += float(of_bodies @ of_bodies)
         self._samples += 1
         self._judged += (1.0, prediction.begins_step)
         add_sample(self._sums, columns, self._turned, self._map, weight, unweighed, self._seconds / BLOCK_S)
@@ -538,6 +542,7 @@ class ChangeDetector:
             (sums.wrench_gram, sums.wrench_moment, sums.wrench_along @ directions),
             self._added,
             float(self._unlike[0] / self._unlike[1]),
+            self._carried,
         )
         self._per_block = self._samples
         self._begin_block()
@@ -733,7 +738,8 @@ class ChangeDetector:
         unchanged = self._learning(root, grams, sums)
         brief = np.maximum(starts, now - LASTING)  # what began before is no contact, if it acts yet
         contact = self._without(self._blocks, followed)
-        kappa = self._noise_left(_since(power, starts), (unchanged, *fits), starts, brief, contact)
+        squares = _since(power, starts), self._bodies(starts)
+        kappa = self._noise_left(*squares, (unchanged, *fits), starts, brief, contact)
         familiar, elsewhere = self._learnt_better(root, unchanged, blocks, moments, starts, kappa)
         learning = np.logaddexp(familiar, elsewhere) - log(2.0)
         known = self._known(starts, power, followed) / (2.0 * kappa)
@@ -766,19 +772,29 @@ class ChangeDetector:
             return np.array([min(self._standing, now)])
         return np.array([count for count in SINCE if count <= now], dtype=int)
 
+    def _bodies(self, starts: Indices) -> Array:
+        """(S,) squares of what the model predicts of the robot's bodies, of windows since some starts."""
+        return _since(np.array([block.carried for block in self._blocks]), starts)
+
     def _noise_left(
-        self, power: Array, fits: Sequence[CauseFit], starts: Indices, brief: Indices, contact: ContactSums
+        self, power: Array, carried: Array, fits: Sequence[CauseFit], starts: Indices, brief: Indices,
+        contact: ContactSums,
     ) -> Array:
         """(S,) kappa of the windows since some starts, which have these squares: the usual one times
         a power of ``STEP``, by what the best of some fits leaves, or what began before ``brief``
-        and acts yet."""
+        and acts yet.
+
+        :param carried: (S,) squares of what the model predicts of the robot's bodies. What changed is known no better
+            than these: it leaves as large a share of itself as the model, in free motion, of what it predicts.
+        """
         explained, noise = np.max([fit.explained for fit in fits], axis=0), self.noise
         if (starts < brief).any():
             acting = self._acting(contact, np.full(len(starts), noise), [len(self._blocks)])
             lasts = _likeliest_of(acting[:, 0], starts, brief)
             explained = np.maximum(explained, 2.0 * noise * lasts)
         usual = np.median(self._power) * (len(self._blocks) - starts)
-        growth = np.maximum((power - explained) / usual, 1.0)
+        own = np.divide(explained, carried, out=np.zeros(len(starts)), where=carried > 0.0)
+        growth = np.maximum(np.maximum((power - explained) / usual, own), 1.0)
         return np.asarray(noise * STEP ** np.round(np.log(growth) / log(STEP)))
 
     def _known(self, starts: Indices, power: Array, followed: Followed | None) -> Array:

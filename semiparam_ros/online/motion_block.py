@@ -39,6 +39,8 @@ class MotionBlock(NamedTuple):
     """(m, 2, n) of each output the sums of w r k and w k^2, of what known effects add, k."""
     unlike: float = 0.0
     """Share of it that is unlike all that was learnt."""
+    carried: float = 0.0
+    """Weighed squares of what the model predicts of the robot's bodies."""
 
 
 class BlockSums(NamedTuple):

@@ -3,6 +3,7 @@
 from copy import deepcopy
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -111,6 +112,22 @@ def test_noise_that_is_less_than_the_model_expects_hides_no_load():
         assert max(detector.noise, detector.innovation_noise) * times**2 < 10.0, 'kappa is that of what is seen'
     assert found[10.0].noticed - found[1.0].noticed < 1e9
     assert abs(found[10.0].value - mass) < 0.25 * mass
+
+
+def test_what_changed_leaves_as_large_a_share_of_itself_as_the_robot_of_what_is_predicted():
+    """A contact followed the last percent of a load that weighed more than the hand behind the sensor: it was told
+    after six seconds."""
+    body, samples, _ = loaded()
+    detector = told(body, samples[samples.time < LOADED_S[0] + 1.0])[2]
+    block = detector._blocks[0]
+    weights, inside = block.own[0], (samples.stamps >= block.start) & (samples.stamps <= block.end)
+    assert block.carried == pytest.approx(float((weights * samples.outputs[inside] ** 2).mean(axis=0).sum()), rel=0.5)
+    fit, explained, usual = SimpleNamespace(explained=np.full(1, 900.0)), 900.0, detector.noise
+    for carried, times in ((0.0, 1.0), (2.0 * explained, 1.0), (explained / 8.0, 8.0)):
+        contact = detector._without(detector._blocks, None)
+        starts = np.array([len(detector._blocks) - 4])
+        kappa = detector._noise_left(np.full(1, explained), np.full(1, carried), [fit], starts, starts, contact)
+        assert kappa == pytest.approx(times * usual, rel=0.02)
 
 
 def test_white_noise_is_at_most_what_the_model_expects_and_at_least_what_is_seen():
