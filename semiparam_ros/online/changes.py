@@ -24,8 +24,9 @@ and lengths (:class:`~semiparam_ros.online.contact_gate.Tail`). Motion that the 
 weighs less.
 
 *Telling.* What stands out is judged by the log evidence of each hypothesis over the free one, with
-noise kappa S^2. kappa is the usual mean square, and grows with what the best hypothesis leaves, and with
-what it explains beside what the model predicts of the robot's bodies, for it is no more exact than these:
+noise kappa S^2. kappa is the usual mean square, and grows with what the best hypothesis leaves. What of
+it is no white noise is error of the model, and grows with what the hypothesis explains beside what the model
+predicts of the robot's bodies, for it is no more exact than these:
 
     changed    h' (kappa I + A)^-1 h / (2 kappa) - log|I + A / kappa| / 2 - price
     touched    the same of a w that goes along a line from each edge of the blocks to the next one,
@@ -785,7 +786,7 @@ class ChangeDetector:
         and acts yet.
 
         :param carried: (S,) squares of what the model predicts of the robot's bodies. What changed is known no better
-            than these: it leaves as large a share of itself as the model, in free motion, of what it predicts.
+            than these: it leaves as large a share of itself as the model, beside white noise, of what it predicts.
         """
         explained, noise = np.max([fit.explained for fit in fits], axis=0), self.noise
         if (starts < brief).any():
@@ -793,8 +794,8 @@ class ChangeDetector:
             lasts = _likeliest_of(acting[:, 0], starts, brief)
             explained = np.maximum(explained, 2.0 * noise * lasts)
         usual = np.median(self._power) * (len(self._blocks) - starts)
-        own = np.divide(explained, carried, out=np.zeros(len(starts)), where=carried > 0.0)
-        growth = np.maximum(np.maximum((power - explained) / usual, own), 1.0)
+        size = np.divide(explained, carried, out=np.zeros(len(starts)), where=carried > 0.0)
+        growth = np.maximum((power - explained) / usual, 1.0 + (1.0 - self._level / noise) * size)
         return np.asarray(noise * STEP ** np.round(np.log(growth) / log(STEP)))
 
     def _known(self, starts: Indices, power: Array, followed: Followed | None) -> Array:

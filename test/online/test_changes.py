@@ -114,7 +114,7 @@ def test_noise_that_is_less_than_the_model_expects_hides_no_load():
     assert abs(found[10.0].value - mass) < 0.25 * mass
 
 
-def test_what_changed_leaves_as_large_a_share_of_itself_as_the_robot_of_what_is_predicted():
+def test_what_changed_leaves_as_large_a_share_of_itself_as_the_model_of_the_robot_beside_white_noise():
     """A contact followed the last percent of a load that weighed more than the hand behind the sensor: it was told
     after six seconds."""
     body, samples, _ = loaded()
@@ -123,9 +123,10 @@ def test_what_changed_leaves_as_large_a_share_of_itself_as_the_robot_of_what_is_
     weights, inside = block.own[0], (samples.stamps >= block.start) & (samples.stamps <= block.end)
     assert block.carried == pytest.approx(float((weights * samples.outputs[inside] ** 2).mean(axis=0).sum()), rel=0.5)
     fit, explained, usual = SimpleNamespace(explained=np.full(1, 900.0)), 900.0, detector.noise
-    for carried, times in ((0.0, 1.0), (2.0 * explained, 1.0), (explained / 8.0, 8.0)):
-        contact = detector._without(detector._blocks, None)
-        starts = np.array([len(detector._blocks) - 4])
+    contact, starts = detector._without(detector._blocks, None), np.array([len(detector._blocks) - 4])
+    for share, carried, times in ((1.0, explained / 8.75, 1.0), (0.2, 0.0, 1.0), (0.2, 100.0 * explained, 1.0),
+                                  (0.2, explained / 8.75, 8.0)):
+        detector._level = share * usual
         kappa = detector._noise_left(np.full(1, explained), np.full(1, carried), [fit], starts, starts, contact)
         assert kappa == pytest.approx(times * usual, rel=0.02)
 
