@@ -251,12 +251,19 @@ def _tried(fit: Fit, effect: Effect, since_s: tuple[float, float],
             between = (time_s, time_s) if time_s == ended_s else since_s
             acting = with_best_edge(fit, acting, name, _near(fit, between))
         after = refit_weights(with_effects(fit, [*fit.effects, acting]))
-        if effect.is_load and not plausible(after, len(fit.effects)):
+        if not (plausible(after, len(fit.effects)) if effect.is_load else _resists(after, acting)):
             continue
         times = acting.span.values.values()
         trial = Move.of((acting,), fit, after, _price(acting, fit), times)
         best = trial if best is None or trial.net > best.net else best
     return best
+
+
+def _resists(fit: Fit, effect: Effect) -> bool:
+    """Return whether what resists does so still: less friction is a change, friction that drives is none."""
+    alike = [number for number, known in enumerate(fit.effects)
+             if known.kind == effect.kind and known.where == effect.where and not known.ends]
+    return not effect.resists or sum(fit.theta[fit.assembly.blocks[str(number)]].sum() for number in alike) > 0.0
 
 
 def _near(fit: Fit, between_s: tuple[float, float]) -> tuple[float, float]:

@@ -68,6 +68,20 @@ def test_a_load_is_over_where_it_weighed_something(put_down):
     assert (change._over(fit, known, (25.5, 25.5)) is not None) == put_down
 
 
+@pytest.mark.parametrize('left', [0.4, -0.4])
+def test_friction_may_be_less_but_drives_no_joint(left):
+    """Coulomb friction of -4.4 N m was named, and tried, where an offset had come."""
+    body = RigidBody.from_urdf(TWO_ARMS, TWO_ARMS_JOINTS, 'effort')
+    motion, joint = smooth_motion(5, 800), 3
+    exact, was = body.outputs_of(motion, body.base_parameters), np.array([2.0, left])
+    exact[:, joint] += was[(motion.time >= 25.0).astype(int)] * np.tanh(motion.velocity[:, joint] / 0.03)
+    fit, _, _ = change._first_fit(body, replace(motion, outputs=noisy(exact)), [], 25.0, None, DEFAULTS,
+                                  np.ones(len(motion), dtype=bool))
+    friction = kinds()['coulomb_friction'](TWO_ARMS_JOINTS[joint], {'turn_speed': 0.03})
+    tried = change._tried(fit, friction, (25.5, 25.5), None)
+    assert (tried is not None) == (left > 0.0)
+
+
 def test_a_zero_slips_at_any_joint_whatever_links_are_called():
     """Where a hand has the name of the joint that carries it, zeros were tried there alone, and a load was put down."""
     alike = TWO_ARMS.replace('a_fore', 'a_elbow').replace('b_fore', 'b_elbow')
