@@ -23,8 +23,8 @@ class DiagnosisConfig:
     noise, of what a model leaves that errors of accelerations make, of samples that are zero (by the word)."""
     little: float = 0.1
     """Calls less than this share little: what errors of accelerations make at the rate that is recommended, what the
-    first effect leaves where somebody pushed an arm whose description is right, and the integral of a velocity beside
-    the change of its position (chosen)."""
+    first effect leaves where somebody pushed an arm whose description is right, what touches hold of what is left of an
+    output, and the integral of a velocity beside the change of its position (chosen)."""
     alike: float = 0.7
     """Calls two things alike beyond this cosine: outputs and prediction of which the ratio is a unit, what two effects
     explain that are rivals (chosen)."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -52,6 +53,14 @@ def contacts(fit: Fit) -> list[Contact]:
         found.append(Contact(float(time[start]), float(time[end - 1]), channels, joint))
         touched += end - start
     return found if touched < config.most_contact_share * len(time) else []
+
+
+def share_of(spans: Sequence[tuple[float, float]], fit: Fit) -> Array:
+    """(n,) share of the squares that a model leaves which lies between some times [s]."""
+    inside, squares = np.zeros(len(fit.samples), dtype=bool), (fit.residual * fit.counted) ** 2
+    for start_s, end_s in spans:
+        inside |= (start_s <= fit.samples.time) & (fit.samples.time <= end_s)
+    return np.asarray(squares[inside].sum(axis=0) / (squares.sum(axis=0) + 1e-300))
 
 
 def _without_bursts(fit: Fit) -> Fit:

@@ -38,6 +38,7 @@ from semiparam_ros.online.model_switcher import State
 from semiparam_ros.ros.context import steady_timer
 from semiparam_ros.ros.estimator.consistent import ConsistentBodies, ConsistentTopic
 from semiparam_ros.ros.estimator.publishers import inertia_message
+from semiparam_ros.ros.estimator.setup_check import SetupCheck
 from semiparam_ros.ros.estimator.subscriptions import ACCELERATIONS, WRENCH, InputStream
 
 DESCRIPTION, PARAMETERS = 'robot_description', 'parameters'
@@ -464,17 +465,18 @@ class Reports:
     :param others: makers of further statuses, by their titles.
     :param duplicates: see :meth:`Outputs.duplicates`.
     :param unseen: see :meth:`Outside.unseen <semiparam_ros.ros.estimator.outside.Outside.unseen>`.
-    :param consistent: asked each second while ``parameters.consistent``.
+    :param consistent: asked each second while ``parameters.consistent``. :param setup: asked each second.
     """
 
     def __init__(self, node: Node, inputs: InputStream, rejections: Rejections, errors: InternalErrors,
                  learner: Callable[[], Learner | None], feedforward: Feedforward,
                  others: Mapping[str, Callable[[], Report]], duplicates: Callable[[], str],
-                 unseen: Callable[[], str], consistent: ConsistentTopic) -> None:
+                 unseen: Callable[[], str], consistent: ConsistentTopic, setup: SetupCheck) -> None:
         self.tally = Tally(())
         self._history: History | None = None
         """That of the learner whose answers are counted."""
-        self._consistent = consistent
+        self._consistent, self._setup = consistent, setup
+        self._suspected: list[str] = []
         self._published: ConsistentBodies | None = None
         self._news = self._robot_name = self._stage = self._known_duplicates = ''
         self._errors, self._duplicates, self._unseen = errors, duplicates, unseen
@@ -540,8 +542,22 @@ class Reports:
         self._log_stage(learner)
         if learner is None:
             return Report(WARN, 'waiting for a robot description.', {})
-        report = learning_report(learner, self._news)
-        return report._replace(values={**report.values, 'external wrench not felt in': self._unseen()})
+        report, problems = learning_report(learner, self._news), self._setup_problems(learner)
+        values = {**report.values, 'external wrench not felt in': self._unseen(),
+                  'samples that the set-up was checked with': self._setup.checked}
+        level = max(report.level, WARN) if problems else report.level
+        return Report(level, ' '.join([report.message, *problems]), values)
+
+    def _setup_problems(self, learner: Learner) -> list[str]:
+        """What the samples say of it; what is new is logged."""
+        self._setup.look(learner)
+        problems = self._setup.problems
+        for sentence in problems:
+            if sentence not in self._suspected:
+                self.say(f'{sentence} Until then the model learns what is not there; ~/diagnose looks closer.',
+                         LoggingSeverity.WARN)
+        self._suspected = problems
+        return problems
 
     def _log_stage(self, learner: Learner | None) -> None:
         """A line whenever another part of the node's life begins."""

@@ -42,6 +42,7 @@ from semiparam_ros.ros.estimator.parameters import HeldReplies, Parameters
 from semiparam_ros.ros.estimator.publishers import Outputs
 from semiparam_ros.ros.estimator.robot import Robot
 from semiparam_ros.ros.estimator.services import Services, reason
+from semiparam_ros.ros.estimator.setup_check import SetupCheck
 from semiparam_ros.ros.estimator.subscriptions import InputStream
 from semiparam_ros.settings.files import located
 from semiparam_ros.settings.parameter_table import BY_NAME
@@ -95,7 +96,8 @@ class EstimatorNode(AnsweringNode, LearnerListener):
                                 trajectories.feedforward, others, self._outputs.duplicates,
                                 self._outside.unseen,
                                 ConsistentTopic(self, lambda: self._robot.description, self._background,
-                                                self.errors.add))
+                                                self.errors.add),
+                                SetupCheck(self._background, self.errors.add))
         self._held_replies = HeldReplies(self, self._announcement)
         lock = FolderLock(folder_of(settings), self.get_fully_qualified_name())
         self._requests = Services(self, self._live, self._the_learner,

@@ -1,0 +1,63 @@
+"""What the samples say of the set-up: a sign, a unit or an order that is wrong, before anybody asks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+
+from semiparam_ros.errors import SemiparamError
+from semiparam_ros.online import diagnosis_jobs
+from semiparam_ros.online.history import History
+from semiparam_ros.online.learner import Learner
+from semiparam_ros.online.worker import Background, Job
+from semiparam_ros.settings.build import declared_effects
+
+
+class SetupCheck:
+    """Has the process beside the node look at the samples once a model answers, and again whenever there are twice as
+    many of them.
+
+    ``problems`` are sentences, each said by two looks in a row: a short motion shows little. ``checked`` is how many
+    samples the last look was given.
+
+    :param failed: told of an error that is not expected.
+    """
+
+    def __init__(self, background: Background, failed: Callable[[str, BaseException], object]) -> None:
+        self._background, self._failed = background, failed
+        self.problems: list[str] = []
+        self._history: History | None = None
+        self._begin_anew()
+
+    def _begin_anew(self) -> None:
+        self.problems, self._latest, self.checked = [], set[str](), 0
+        self._looked_at = 0
+        self._job: Job | None = None
+
+    def look(self, learner: Learner) -> None:
+        """Ask for a look, if one is due."""
+        history, count = learner.history, len(learner.history)
+        if history is not self._history or count < self._looked_at:  # after a reset, or of another state
+            if self._job is not None:
+                self._job.cancel()
+            self._history = history
+            self._begin_anew()
+        if self._job is not None or not learner.estimator.ready or count < max(2 * self._looked_at, 1):
+            return
+        self._looked_at = count
+        samples = history.span(learner.settings.diagnosis_window)
+        changes = learner.changes
+        self._job = self._background.submit(
+            diagnosis_jobs.setup_problems, learner.body, diagnosis_jobs.thinned(samples, 1.0),
+            tuple(declared_effects(learner.settings)), tuple(changes.applied.contributions), changes.contacts,
+            done=partial(self._done, history))
+
+    def _done(self, history: History, found: Sequence[str] | None, error: BaseException | None) -> None:
+        if history is not self._history:
+            return
+        self._job = None
+        if error is not None and not isinstance(error, SemiparamError):
+            self._failed('the check of the set-up', error)
+        self.checked = self._looked_at
+        self.problems = [sentence for sentence in found or () if sentence in self._latest]
+        self._latest = set(found or ())
