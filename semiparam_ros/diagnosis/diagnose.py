@@ -249,8 +249,8 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
     :param progress: called with a few words and the share of the round that is done.
     :param config: thresholds other than the usual ones.
     :param touched: [s] between which the robot is known to have been touched, which is left out;
-        of a single recording. Where touches hold much of what is left of an output, they are left out too, and the rest is searched
-        anew: large ones bend what is found, and hide small causes.
+        of a single recording. Where touches hold much of what is left of an output, they are left out too, and the
+        rest is searched anew: large ones bend what is found, and hide small causes.
 
     Raises SemiparamError when the recording is too short, too little of it can be used, nothing moves in it, or an
     output never changes; where its clock is wrong, that may be why, and the error says so.
