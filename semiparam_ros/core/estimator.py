@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from copy import copy, deepcopy
+from dataclasses import replace
 from math import isnan
 from typing import NamedTuple
 
@@ -438,6 +439,11 @@ class Estimator:
     def features_count(self) -> int:
         """Number D of random features in use; 0 where the model has none."""
         return self.model.recursion.n_features
+
+    def hyperparameters(self) -> Hyperparameters:
+        """Hyperparameters in use, with pi as it stands."""
+        pi = tuple(self.model.part(slice(0, self.columns.n_own)).tolist())
+        return replace(self.model.hyperparameters, pi=pi or None)
 
     def _origin_at(self, stamp: int) -> int:
         """Origin of time at a stamp, moved by what the clock jumped."""
