@@ -522,8 +522,7 @@ def test_every_variant_learns_an_effect_that_begins_after_the_window(trained, ar
     assert [quantity.name for quantity in quantities(model)][-3:] == [f'external_force@r_hand.force_{axis}'
                                                                       for axis in 'xyz']
     assert quantities(model)[-3].value == learnt[0]
-    own = model.columns.n_own
-    assert len(model.model.part(slice(0, own))) == {'absent': 0}.get(model.variant.pi, own)
+    assert len(model.hyperparameters().pi or ()) == {'absent': 0}.get(model.variant.pi, model.columns.n_own)
 
 
 @pytest.mark.parametrize('effect', [
