@@ -170,6 +170,12 @@ class AppliedEffects:
         return self.provisional is not None or any(trial.acting for trial in self.trials)
 
     @property
+    def unsaved(self) -> list[Effect]:
+        """Effects that are taken off and in no state: the load that is provisional, and what is tried."""
+        load = [] if self.provisional is None else [Payload(self.provisional.link)]
+        return [*load, *(trial.effect for trial in self.trials if trial.acting and not trial.applied)]
+
+    @property
     def ahead(self) -> Array:
         """(m,) of each trial 1 where it is taken off though it is not applied yet, -1 where it is applied and not
         taken off any more, else 0."""

@@ -431,6 +431,7 @@ def test_a_state_of_what_had_another_name_before_the_next_sample_is_loaded():
     effect, applied = effect_from_text('sensor_offset'), AppliedEffects(body)
     applied.offer(1, effect, np.arange(6.0), np.zeros(6), 0)
     applied.switch(applied.trials[0], int(samples.stamps[5]))
+    assert applied.unsaved == []
     applied.offer(1, effect, 2.0 * np.arange(6.0), np.zeros(6), int(samples.stamps[5]))
     restored = AppliedEffects(body)
     restored.restore(applied.state())
@@ -469,6 +470,7 @@ def test_a_load_without_a_name_is_taken_off_and_is_not_saved():
             assert all('end_stamp_s' in effect for effect, _ in state['taken_off'])
         if number == 24:
             assert applied.acts
+            assert [(effect.kind, effect.where) for effect in applied.unsaved] == [('payload', link)], 'it is said so'
             bodies, _ = applied.bodies_and_bias()
             shown, needed = applied.desired(*sample[1:4])
             np.testing.assert_allclose(body.regressor(*sample[1:4]) @ bodies, needed, atol=1e-9)

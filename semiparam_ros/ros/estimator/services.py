@@ -16,7 +16,8 @@ import numpy as np
 from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger
 
-from semiparam_ros.errors import SemiparamError
+from semiparam_ros.effects.base import place
+from semiparam_ros.errors import SemiparamError, listed
 from semiparam_ros.export.files import export_to
 from semiparam_ros.online import state_file
 from semiparam_ros.online.file_thread import FileThread
@@ -175,10 +176,13 @@ class Services:
         """Write what is learnt now to ``state_file``."""
         self._lock.take()
         path = self._folder / self._parameters.settings.state_file
-        state = state_file.snapshot(self._learner().state())
+        learner = self._learner()
+        state = state_file.snapshot(learner.state())
+        left_out = [place(effect.kind, effect.where) for effect in learner.changes.applied.unsaved]
 
         def written(moved: str) -> str:
-            return f'{path} is written.{moved and f" The one before: {moved}"}'
+            without = f' Not in it, as it is not applied yet: {listed(left_out)}; save again then.' if left_out else ''
+            return f'{path} is written.{moved and f" The one before: {moved}"}{without}'
 
         self._aside('~/save_state', partial(state_file.write, path, state), written, reply)
 
