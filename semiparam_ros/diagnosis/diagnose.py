@@ -40,7 +40,7 @@ from semiparam_ros.diagnosis.preparation import (
 )
 from semiparam_ros.diagnosis.regression import Fit, refit_weights, with_effects
 from semiparam_ros.diagnosis.residual.aliases import as_recorded
-from semiparam_ros.diagnosis.residual.contacts import Contact, contacts, share_of
+from semiparam_ros.diagnosis.residual.contacts import Contact, bend, contacts
 from semiparam_ros.diagnosis.residual.noise import noise_floor, with_error_columns, without_error_columns
 from semiparam_ros.diagnosis.residual.structure import Structure, remaining_structure
 from semiparam_ros.diagnosis.search.candidates import identity
@@ -249,8 +249,8 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
     :param progress: called with a few words and the share of the round that is done.
     :param config: thresholds other than the usual ones.
     :param touched: [s] between which the robot is known to have been touched, which is left out;
-        of a single recording. Where touches hold much of what is left of an output, they are left out too, and the
-        rest is searched anew: large ones bend what is found, and hide small causes.
+        of a single recording. Where touches hold much of what is left of an output in little time, they are left out
+        too, and the rest is searched anew: they bend what is found, and hide small causes.
 
     Raises SemiparamError when the recording is too short, too little of it can be used, nothing moves in it, or an
     output never changes; where its clock is wrong, that may be why, and the error says so.
@@ -259,7 +259,7 @@ def diagnose(body: RigidBody, samples: Samples, effects: Sequence[Effect] = (), 
     found = of(touched)
     beside = found.everything.samples.averaged_s  # of the means there, a part may be touched
     felt = [(each.start_s - beside, each.end_s + beside) for each in found.contacts]
-    if not felt or share_of(felt, found.everything).max() < config.little:
+    if not bend(felt, found.everything):
         return found
     try:
         return of([*touched, *felt])

@@ -55,12 +55,14 @@ def contacts(fit: Fit) -> list[Contact]:
     return found if touched < config.most_contact_share * len(time) else []
 
 
-def share_of(spans: Sequence[tuple[float, float]], fit: Fit) -> Array:
-    """(n,) share of the squares that a model leaves which lies between some times [s]."""
+def bend(spans: Sequence[tuple[float, float]], fit: Fit) -> bool:
+    """Return whether touches between some times [s] hold much of what the model leaves of an output, in little time:
+    what lasts longer may be what the model lacks."""
     inside, squares = np.zeros(len(fit.samples), dtype=bool), (fit.residual * fit.counted) ** 2
     for start_s, end_s in spans:
         inside |= (start_s <= fit.samples.time) & (fit.samples.time <= end_s)
-    return np.asarray(squares[inside].sum(axis=0) / (squares.sum(axis=0) + 1e-300))
+    shares = squares[inside].sum(axis=0) / (squares.sum(axis=0) + 1e-300)
+    return bool(inside.mean() < fit.config.little < shares.max())
 
 
 def _without_bursts(fit: Fit) -> Fit:

@@ -45,7 +45,7 @@ def not_held_by(known: Sequence[Effect], effect: Effect) -> list[Effect]:
 
 
 def explained_by(fit: Fit, effect: Effect, columns: Array) -> Explained:
-    """What an effect explains by its columns (N, n, c), its coefficients or calibrations as they may be beforehand.
+    """Part that an effect explains by its columns (N, n, c), its coefficients as they may be beforehand.
 
     Without that a direction that the rigid body nearly holds, as a spring's beside weights, counts for nothing.
     """

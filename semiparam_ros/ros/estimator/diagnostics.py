@@ -549,7 +549,7 @@ class Reports:
         return Report(level, ' '.join([report.message, *problems]), values)
 
     def _setup_problems(self, learner: Learner) -> list[str]:
-        """What the samples say of it; what is new is logged."""
+        """Problems that the samples show; new ones are logged."""
         self._setup.look(learner)
         problems = self._setup.problems
         for sentence in problems:
