@@ -1,4 +1,4 @@
-"""What the samples say of the set-up: a sign, a unit or an order that is wrong, before anybody asks."""
+"""Mistakes of the set-up that the samples show: a sign, a unit or an order that is wrong, before anybody asks."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from semiparam_ros.settings.build import declared_effects
 
 
 class SetupCheck:
-    """Has the process beside the node look at the samples once a model answers, and again whenever there are twice as
+    """Asks the process beside the node to look at the samples once a model answers, and again whenever there are twice as
     many of them.
 
     ``problems`` are sentences, each said by two looks in a row: a short motion shows little. ``checked`` is how many
