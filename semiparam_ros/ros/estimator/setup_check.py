@@ -14,8 +14,8 @@ from semiparam_ros.settings.build import declared_effects
 
 
 class SetupCheck:
-    """Asks the process beside the node to look at the samples once a model answers, and again whenever there are twice as
-    many of them.
+    """Asks the process beside the node to look at the samples once a model answers, and again whenever there are twice
+    as many of them.
 
     ``problems`` are sentences, each said by two looks in a row: a short motion shows little. ``checked`` is how many
     samples the last look was given.
