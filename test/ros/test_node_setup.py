@@ -4,7 +4,9 @@ from dataclasses import replace
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
-from support.node_helpers import JOINTS, SETTINGS, motion
+from semiparam_ros.ros.estimator.setup_check import SetupCheck
+from support.learner_stage import Stage
+from support.node_helpers import JOINTS, SETTINGS, DelayedBackground, InlineBackground, motion
 
 SENTENCE = 'set the parameter wrench_convention to'
 
@@ -35,3 +37,21 @@ def test_a_wrong_sign_is_told_before_anybody_asks(start_node):
     _, second = two_looks([sample._replace(stamp=sample.stamp + 60 * 10**9) for sample in samples])
     assert second[:2] == (DiagnosticStatus.OK, 'learning with P.')
     assert node.output.count(SENTENCE) == 1
+
+
+def test_a_history_that_lets_samples_go_forgets_no_problem_and_a_reset_forgets_them():
+    stage, background = Stage(replace(SETTINGS, variant='P'), InlineBackground()), DelayedBackground()
+    check = SetupCheck(background, stage.failed)
+    samples = [sample._replace(outputs=-sample.outputs) for sample in motion(1600)]
+    for part in (samples[:800], samples[800:1200], samples[1200:]):
+        stage.offer(part)
+        check.look(stage.learner)
+        assert len(background.jobs) == (len(part) == 800 or part[0] is samples[1200]), 'twice as many, or none'
+        background.run()
+    assert check.checked == 1600 and SENTENCE in check.problems[0]
+    check._looked_at = 2000
+    check.look(stage.learner)
+    assert SENTENCE in check.problems[0] and not background.jobs
+    stage.learner.reset()
+    check.look(stage.learner)
+    assert check.problems == [] and check.checked == 0 and not stage.failures

@@ -37,7 +37,7 @@ class SetupCheck:
     def look(self, learner: Learner) -> None:
         """Ask for a look, if one is due."""
         history, count = learner.history, len(learner.history)
-        if history is not self._history or count < self._looked_at:  # after a reset, or of another state
+        if history is not self._history or 2 * count < self._looked_at:  # after a reset; a full one lets a part go
             if self._job is not None:
                 self._job.cancel()
             self._history = history
