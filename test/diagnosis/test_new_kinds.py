@@ -15,7 +15,7 @@ from semiparam_ros.core.samples import Samples
 from semiparam_ros.diagnosis.data.recordings import during
 from semiparam_ros.diagnosis.diagnose import diagnose
 from semiparam_ros.diagnosis.regression import with_effects
-from semiparam_ros.diagnosis.residual.contacts import contacts
+from semiparam_ros.diagnosis.residual.contacts import bend, contacts
 from semiparam_ros.diagnosis.search.scoring import coarse_trial
 from semiparam_ros.diagnosis.search.stepwise import starting_fit
 from semiparam_ros.diagnosis.text_report import text_report
@@ -237,6 +237,8 @@ def test_the_link_that_was_touched_is_that_of_the_arm_whatever_the_order_of_the_
         0.0, 0.0, 4.0, 6.0, 3.0] * ((samples.time > 20.0) & (samples.time < 20.8))[:, None]
     fit = starting_fit(body, replace(samples, outputs=touched), [], np.ones(800, dtype=bool))
     assert [contact.joint for contact in contacts(fit)] == ['a_elbow']
+    assert bend([(20.0, 20.8)], fit) and not bend([(5.0, 5.8)], fit) and not bend([(15.0, 25.0)], fit)
+    assert not bend([], fit)
 
 
 @pytest.mark.parametrize('pause_s', [0, 3600])

@@ -36,11 +36,11 @@ def of_the_law(rng):
     return np.repeat(rng.standard_normal((20, 4)), len(EXACT) // 20, axis=0) * MOTION.velocity
 
 
-def told(disturbance, joint):
+def told(disturbance, joint, viscous=VISCOUS):
     """How far a friction is off, and the standard deviation that is told, with efforts disturbed by a hundredth and one
     of another ``joint``, or of the same, read with a gain."""
     friction = np.zeros_like(EXACT)
-    friction[:, 1] = VISCOUS * MOTION.velocity[:, 1]
+    friction[:, 1] = viscous * MOTION.velocity[:, 1]
     gains = np.where(np.arange(4) == joint, 1.0 + GAIN, 1.0)
     small = 0.01 * EXACT.std(axis=0) / disturbance.std(axis=0)
     samples = replace(MOTION, outputs=(EXACT + friction) * gains + disturbance * small)
@@ -48,15 +48,17 @@ def told(disturbance, joint):
     start = refit_weights(fit_model(BODY, samples, effects, np.ones(len(samples), dtype=bool), np.ones(4)))
     fit = fitted_to_all(start, start.train_mask, [])
     value, std = estimates(fit, [0]).coefficients[:, -1]
-    return value - VISCOUS, std
+    return value - viscous, std
 
 
-@pytest.mark.parametrize('disturbed, joint', [(white, 2), (white, 1), (of_the_motion, 2), (of_the_law, 2)])
-def test_deviations_are_as_large_as_the_scatter_of_the_values(disturbed, joint):
+@pytest.mark.parametrize('disturbed, joint, viscous', [
+    (white, 2, VISCOUS), (white, 1, VISCOUS), (white, 1, 100.0 * VISCOUS), (of_the_motion, 2, VISCOUS),
+    (of_the_law, 2, VISCOUS)])
+def test_deviations_are_as_large_as_the_scatter_of_the_values(disturbed, joint, viscous):
     """The model's own covariance gives two thirds of it where noise or a law differs from stretch to stretch. Beside a
     gain of its own joint a friction was told as the efforts read it, a tenth too large, and as sure as without one."""
     rng = np.random.default_rng(1)
-    off, std = np.array([told(disturbed(rng), joint) for _ in range(DRAWS)]).T
+    off, std = np.array([told(disturbed(rng), joint, viscous) for _ in range(DRAWS)]).T
     assert 0.6 < np.sqrt(np.mean(off**2) / np.mean(std**2)) < 1.25
 
 

@@ -430,6 +430,9 @@ def test_a_state_of_what_had_another_name_before_the_next_sample_is_loaded():
     body, samples = free()
     effect, applied = effect_from_text('sensor_offset'), AppliedEffects(body)
     applied.offer(1, effect, np.arange(6.0), np.zeros(6), 0)
+    assert applied.unsaved == []
+    applied.trials[0].acting = True
+    assert applied.unsaved == [effect], 'it is tried'
     applied.switch(applied.trials[0], int(samples.stamps[5]))
     assert applied.unsaved == []
     applied.offer(1, effect, 2.0 * np.arange(6.0), np.zeros(6), int(samples.stamps[5]))

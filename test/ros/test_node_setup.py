@@ -2,11 +2,17 @@
 
 from dataclasses import replace
 
+import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 
+from semiparam_ros.diagnosis.setup.checks import NO_MATCH, setup_problems
+from semiparam_ros.effects import kinds
+from semiparam_ros.online import diagnosis_jobs
+from semiparam_ros.online.history import batch_of
+from semiparam_ros.ros.estimator.services import _written
 from semiparam_ros.ros.estimator.setup_check import SetupCheck
 from support.learner_stage import Stage
-from support.node_helpers import JOINTS, SETTINGS, DelayedBackground, InlineBackground, motion
+from support.node_helpers import BODY, JOINTS, SETTINGS, DelayedBackground, InlineBackground, motion
 
 SENTENCE = 'set the parameter wrench_convention to'
 
@@ -55,3 +61,19 @@ def test_a_history_that_lets_samples_go_forgets_no_problem_and_a_reset_forgets_t
     stage.learner.reset()
     check.look(stage.learner)
     assert check.problems == [] and check.checked == 0 and not stage.failures
+
+
+def test_that_no_inertias_explain_the_outputs_is_told_by_a_diagnosis_alone():
+    """Somebody may push the arm."""
+    rng = np.random.default_rng(0)
+    batch = batch_of((sample._replace(outputs=10.0 * rng.standard_normal(6)), 1) for sample in motion(800))
+    assert NO_MATCH in [problem.what for problem in setup_problems(BODY, batch.samples)]
+    assert diagnosis_jobs.setup_problems(BODY, batch, (), (), ()) == []
+
+
+def test_a_saved_state_names_what_is_not_in_it():
+    load = kinds()['payload']('hand')
+    assert _written('s.npz', [], '') == 's.npz is written.'
+    told = _written('s.npz', [load], 'it is s.npz.1 now.')
+    assert told == ('s.npz is written. The one before: it is s.npz.1 now. Not in it, as it is not applied yet: '
+                    'payload at hand; save again then.')

@@ -7,7 +7,7 @@ executor of the node does not await those of services.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
@@ -16,6 +16,7 @@ import numpy as np
 from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger
 
+from semiparam_ros.effects import Effect
 from semiparam_ros.effects.base import place
 from semiparam_ros.errors import SemiparamError, listed
 from semiparam_ros.export.files import export_to
@@ -117,6 +118,13 @@ def reason(name: str, error: Exception, errors: InternalErrors) -> str:
     return str(error) if isinstance(error, SemiparamError) else errors.add(name, error)
 
 
+def _written(path: Path, left_out: Sequence[Effect], moved: str) -> str:
+    """Sentence on a state that is written, with the effects that are not in it, and where the one before is."""
+    names = listed([place(effect.kind, effect.where) for effect in left_out])
+    without = f' Not in it, as it is not applied yet: {names}; save again then.' if left_out else ''
+    return f'{path} is written.{moved and f" The one before: {moved}"}{without}'
+
+
 class Services:
     """``~/reset``, ``~/pause_learning``, ``~/tare``, ``~/save_state``, ``~/load_state`` and
     ``~/export_model``.
@@ -178,12 +186,7 @@ class Services:
         path = self._folder / self._parameters.settings.state_file
         learner = self._learner()
         state = state_file.snapshot(learner.state())
-        left_out = [place(effect.kind, effect.where) for effect in learner.changes.applied.unsaved]
-
-        def written(moved: str) -> str:
-            without = f' Not in it, as it is not applied yet: {listed(left_out)}; save again then.' if left_out else ''
-            return f'{path} is written.{moved and f" The one before: {moved}"}{without}'
-
+        written = partial(_written, path, learner.changes.applied.unsaved)
         self._aside('~/save_state', partial(state_file.write, path, state), written, reply)
 
     def load_state(self, reply: Reply) -> None:
