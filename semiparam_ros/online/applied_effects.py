@@ -44,9 +44,10 @@ from semiparam_ros.core.types import Array
 from semiparam_ros.effects import Effect, effect_from_text, effect_to_text
 from semiparam_ros.effects.base import STAMP_TOLERANCE_NS, Span
 from semiparam_ros.effects.loads import Payload
-from semiparam_ros.online.changes import BLOCK_S, CONTACT_S, SURE, gained
+from semiparam_ros.online.changes import SURE
 from semiparam_ros.online.identified_parameters import Load
-from semiparam_ros.online.motion_block import MotionBlock
+from semiparam_ros.online.motion_block import BLOCK_S, MotionBlock, gained
+from semiparam_ros.online.wandering_contact import CONTACT_S
 
 TRIED_S = 30.0
 """[s of motion] An effect for which nothing speaks so long is dropped."""

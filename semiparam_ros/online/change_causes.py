@@ -33,6 +33,7 @@ HAND_M = 0.15
 """[m] How far from the last link the centre of a load may be, and how large it is."""
 MASS_SHOWS = 2.5
 """[standard deviations] A load has a mass that is so sure at least."""
+ROUNDED = 1e-11
 
 
 class Cause(NamedTuple):
@@ -202,3 +203,9 @@ def _explains(theta: Array, grams: Array, moments: Array) -> Mask:
     """(S,) whether coefficients (S, k) explain blocks with these sums better than none."""
     gained = theta * (2.0 * moments - np.einsum('skj,sj->sk', grams, theta))
     return np.asarray(gained.sum(axis=1) > 0.0)
+
+
+def with_prior(gram: Array) -> Array:
+    """A + I for (..., k, k), where I is not so small beside A that it would be lost."""
+    largest = np.diagonal(gram, axis1=-2, axis2=-1).max(axis=-1)
+    return np.asarray(gram + (1.0 + ROUNDED * largest)[..., None, None] * np.eye(gram.shape[-1]))

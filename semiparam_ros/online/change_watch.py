@@ -32,17 +32,13 @@ from semiparam_ros.effects.loads import Payload, ToolExchange
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online import diagnosis_jobs
 from semiparam_ros.online.applied_effects import AppliedEffects, KnownEffect
-from semiparam_ros.online.changes import (
-    BLOCK_S,
-    CONTACT_S,
-    Change,
-    ChangeDetector,
-    Followed,
-)
+from semiparam_ros.online.changes import ChangeDetector
+from semiparam_ros.online.followed_change import Change, Followed
 from semiparam_ros.online.history import History
 from semiparam_ros.online.identified_parameters import Load
 from semiparam_ros.online.learning import Learning, learning_after
-from semiparam_ros.online.motion_block import MotionBlock
+from semiparam_ros.online.motion_block import BLOCK_S, MotionBlock
+from semiparam_ros.online.wandering_contact import CONTACT_S
 from semiparam_ros.online.worker import Background, Urgency
 
 if TYPE_CHECKING:

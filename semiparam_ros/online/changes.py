@@ -58,7 +58,6 @@ from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from itertools import accumulate, pairwise
 from math import log
-from typing import NamedTuple
 
 import numpy as np
 
@@ -66,7 +65,7 @@ from semiparam_ros.core.columns import CoupledColumns
 from semiparam_ros.core.learnt_inputs import LARGEST_DISTANCE
 from semiparam_ros.core.model import Model
 from semiparam_ros.core.prediction import Prediction
-from semiparam_ros.core.robot.external_wrench import ExternalWrench, push_wrench
+from semiparam_ros.core.robot.external_wrench import ExternalWrench
 from semiparam_ros.core.robot.frames import last_link
 from semiparam_ros.core.robot.small_turns import small_turns
 from semiparam_ros.core.stamps import observed_s
@@ -80,6 +79,7 @@ from semiparam_ros.online.change_causes import (
     causes_of,
     likeliest_window,
     load_scale,
+    with_prior,
 )
 from semiparam_ros.online.contact_gate import (
     BEYOND,
@@ -87,36 +87,19 @@ from semiparam_ros.online.contact_gate import (
     SPEEDS,
     UNSEEN_FACTOR,
     UNSEEN_S,
-    Tail,
 )
+from semiparam_ros.online.followed_change import JUDGED_ANEW, Change, End, Followed
 from semiparam_ros.online.identified_parameters import Load
-from semiparam_ros.online.motion_block import BlockSums, MotionBlock, add_sample
-from semiparam_ros.online.wandering_contact import contact_scale, edge_sums, wandering
+from semiparam_ros.online.motion_block import BLOCK_S, BlockSums, MotionBlock, add_sample, gained
+from semiparam_ros.online.usual_noise import LENGTHS, USUAL, Usual
+from semiparam_ros.online.wandering_contact import LASTING, ContactEvidence, ContactSums, contacts, likeliest_of
 
-BLOCK_S = 0.25
-LENGTHS = (2, 4, 8, 16, 32)
-"""[blocks] Half a second to eight."""
-USUAL, FEWEST = 20, 4
-"""Windows of each length that a usual mean square is from, and so many at least."""
 SINCE = (32, 28, 24, 20, 16, 14, 12, 10, 8, 7, 6, 5, 4)
 """[blocks] How long ago a change may have begun."""
-CONTACT_S = 6.0
-"""A contact does not last longer: what does is a change."""
-LASTING = round(CONTACT_S / BLOCK_S)
-"""[blocks] What has lasted so long is told, though other causes may be as likely; what no known kind
-explains not before."""
-BREAK = 4
-"""[blocks] The next contact begins so much later at least."""
 CALM = 0.5
 """Below this share of what stands out, nothing does."""
-PER_HOUR = 0.1
-"""[1/h] So often anything may stand out of free motion."""
 SURE = 12.0
 """[nat] Odds of 160 000 to 1, as a diagnosis asks of an effect."""
-SETTLED = 8
-"""[blocks] The newest ones say whether a change goes on; the older ones say how large it is."""
-JUDGED_ANEW = 32
-"""[blocks] So long after it began, what a change is may still be told anew."""
 COMPARED, LEAST_COMPARED = 1.0 - 1.0 / 80.0, 40.0 * (1.0 - 1.0 / 80.0)
 """[blocks] After anything stood out, the model as it stands is compared with the one from before
 over the last twenty seconds in which nothing does, ten at least."""
@@ -130,95 +113,6 @@ STEP = 2.0**0.5
 MAPPED_S = 0.02
 """The arm counts as standing so long, for what a wrench at the hand, or a small turn, does to the
 outputs."""
-ROUNDED = 1e-11
-
-
-class Change(NamedTuple):
-    """Change as it was told.
-
-    :param number: counts them; one that is judged anew keeps its own.
-    :param since: [ns] stamp at which it began. :param noticed: [ns] when that was.
-    :param kind: the likeliest cause ('' for none that is known), at ``where``.
-    :param value: of a load its mass [kg], with its standard deviation; of what was put down
-        negative; else NaN.
-    :param evidence: [nat] over what is next likely: no change, a contact. :param outputs: those
-        that feel it, the strongest first. :param ended: [ns] when it was over; None while it is
-        there.
-    """
-
-    number: int
-    since: int
-    noticed: int
-    kind: str
-    where: str | None
-    value: float
-    std: float
-    evidence: float
-    outputs: tuple[str, ...]
-    ended: int | None = None
-    touched: int = 0
-    """[ns] since when what was taken for a contact stood out, from which it cannot be told."""
-
-
-class ContactSums(NamedTuple):
-    """Sums of B blocks by which contacts are judged: ``own`` (B, 6, n) of each output, and those of a wrench at the
-    hand, (B, 12, 12) and (B, 12); see :class:`MotionBlock`."""
-
-    own: Array
-    grams: Array
-    moments: Array
-
-
-def gained(added: Array, came: bool) -> Array:
-    """(..., n) squares of each output that known effects explain which ``came``, or went, by the
-    sums (..., 2, n) that a block has of them."""
-    along, own = np.moveaxis(added, -2, 0)
-    return np.asarray((2.0 if came else -2.0) * along - own)
-
-
-class Usual:
-    """Part that causes explain in free motion over windows of one length, and which ratio to that stands
-    out.
-
-    :param length: [blocks]
-    """
-
-    def __init__(self, length: int, n_causes: int) -> None:
-        self.tail = Tail(n_causes, length * BLOCK_S)
-        self._squares: deque[Array] = deque(maxlen=USUAL)
-        self._noise: deque[float] = deque(maxlen=USUAL)
-
-    def add(self, explained: Array, noise: float, level: float) -> None:
-        """Add that of one window (c,) that nothing stands out of, and what the whole rigid body explains of
-        its innovations."""
-        if self.known:
-            self.tail.add(np.sqrt(explained / self.mean(level)))
-        self._squares.append(explained)
-        self._noise.append(noise)
-
-    @property
-    def known(self) -> bool:
-        """Return whether there is anything to compare with."""
-        return len(self._squares) >= FEWEST
-
-    def mean(self, level: float) -> Array:
-        """(c,) usual mean squares; those of white noise, ``level``, at least."""
-        return np.maximum(np.mean(self._squares, axis=0), level)
-
-    def median(self, level: float) -> float:
-        """Median that the whole rigid body explains of the usual window, whatever a few others were."""
-        return max(float(np.median([squares[-1] for squares in self._squares])), level)
-
-    def noise(self, level: float) -> float:
-        """Median of its innovations."""
-        return max(float(np.median(self._noise)), level)
-
-    def ratio(self, explained: Array, level: float) -> float:
-        """The largest over what stands out; 0 while nothing is known."""
-        if not self.known:
-            return 0.0
-        thresholds, _ = self.tail.thresholds(PER_HOUR / len(LENGTHS))
-        return float((np.sqrt(explained / self.mean(level)) / thresholds).max())
 
 
 def _beside(fits: Sequence[CauseFit], alone: Array, rival: Array, counts: Indices) -> list[Array]:
@@ -229,84 +123,6 @@ def _beside(fits: Sequence[CauseFit], alone: Array, rival: Array, counts: Indice
         others = np.delete(alone, number, axis=0).max(axis=0) if fit.cause.kind else np.inf
         found.append(alone[number] - np.where(counts < LASTING, np.maximum(rival, others), rival))
     return found
-
-
-class End(NamedTuple):
-    """End of a change: since when [ns] it is over, by which log evidence of it until then, under noise kappa (1,)."""
-
-    since: int
-    evidence: float
-    kappa: Array
-
-
-class Followed:
-    """A change that was told, with the sums of all blocks since it began but the first, which has a
-    part of it: its coefficients, in units of their prior.
-
-    :param size: K, directions of all causes.
-    """
-
-    def __init__(self, change: Change, judged: Judged, blocks: Sequence[MotionBlock], size: int) -> None:
-        self.change, self.cause, self.blocks = change, judged.cause, 0
-        self.theta = judged.theta
-        self._latest = deque([judged.theta], maxlen=SETTLED)
-        self._grams, self._moments = np.zeros((size, size)), np.zeros(size)
-        for block in blocks[1:]:
-            self._sum(block)
-
-    def _sum(self, block: MotionBlock) -> None:
-        self._grams = self._grams + block.gram
-        self._moments = self._moments + block.moment
-        self.blocks += 1
-
-    @property
-    def _gram(self) -> Array:
-        part = self.cause.part
-        return np.asarray(self._grams[part, part])
-
-    @property
-    def _moment(self) -> Array:
-        return np.asarray(self._moments[self.cause.part])
-
-    def among(self, blocks: Iterable[MotionBlock]) -> list[tuple[int, MotionBlock]]:
-        """Blocks that it acts in, with their places."""
-        return [(row, block) for row, block in enumerate(blocks) if block.start >= self.change.since]
-
-    def fit(self, cause: Cause) -> CauseFit:
-        """Fit with which another cause explains all blocks since it began."""
-        part = cause.part
-        return CauseFit.of(cause, self._grams[None, part, part], self._moments[None, part])
-
-    def told_anew(self, change: Change, cause: Cause) -> None:
-        """It was another cause, since then."""
-        self.change, self.cause = change, cause
-        self.theta = np.asarray(np.linalg.solve(_with_prior(self._gram), self._moment), dtype=float)
-        self._latest = deque([self.theta], maxlen=SETTLED)
-
-    def add(self, block: MotionBlock, stands_out: bool) -> None:
-        """One more; the newest ones are left to say whether it goes on. As long as anything ``stands_out`` beside it,
-        its coefficients stay what they were."""
-        self._sum(block)
-        if stands_out and self.blocks > JUDGED_ANEW:
-            return
-        self._latest.append(
-            np.asarray(np.linalg.solve(_with_prior(self._gram), self._moment), dtype=float)
-        )
-        self.theta = self._latest[0]
-
-    def without(self, grams: Array, sums: Array) -> CauseFit:
-        """Fit with which it explains all blocks since it began but the last ones, which have these A
-        (S, K, K) and h (S, K)."""
-        part = self.cause.part
-        return CauseFit.of(
-            self.cause, self._gram - grams[:, part, part], self._moment - sums[:, part]
-        )
-
-    def estimate(self, noise: float) -> tuple[Array, Array]:
-        """(k,) its coefficients by all blocks, and (k, k) their covariance, under noise kappa."""
-        whole = self._gram + noise * np.eye(len(self._gram))
-        inverse = np.asarray(np.linalg.inv(whole), dtype=float)
-        return inverse @ self._moment, noise * inverse
 
 
 class ChangeDetector:
@@ -327,8 +143,7 @@ class ChangeDetector:
         body = columns.body
         self._hand = ExternalWrench(body, last_link(body))
         self._turns, self._rigid = small_turns(body), columns.blocks['rigid_body']
-        self._names, self._felt_scale = body.output_names, contact_scale(body)
-        self._push = push_wrench(body)
+        self._names, self._contact = body.output_names, ContactEvidence(body)
         self._load_scale = load_scale(body, str(self.causes[0].where))
         self._joints = body.output_index if body.outputs == 'effort' else None
         self.number = told
@@ -651,7 +466,7 @@ class ChangeDetector:
         latest, part = list(self._blocks)[-length:], self.causes[-1].part
         gram = np.sum([each.gram[part, part] for each in latest], axis=0)
         moment = np.sum([each.innovation[0][part] for each in latest], axis=0)
-        inverse = np.linalg.inv(_with_prior(gram))
+        inverse = np.linalg.inv(with_prior(gram))
         return float(moment @ inverse @ moment / max(len(moment) - np.trace(inverse), 1.0))
 
     def _explained(self, grams: Array, moments: Array) -> Array:
@@ -660,7 +475,7 @@ class ChangeDetector:
         found = np.empty((len(grams), len(self.causes)))
         for numbers, parts in self._alike:
             along = moments[:, parts]
-            inverse = np.linalg.inv(_with_prior(grams[:, parts[:, :, None], parts[:, None]]))
+            inverse = np.linalg.inv(with_prior(grams[:, parts[:, :, None], parts[:, None]]))
             told = along.shape[-1] - np.trace(inverse, axis1=-2, axis2=-1)
             squares = (along[..., None, :] @ inverse @ along[..., None])[..., 0, 0]
             found[:, numbers] = squares / np.maximum(told, 1.0)
@@ -745,16 +560,16 @@ class ChangeDetector:
         learning = np.logaddexp(familiar, elsewhere) - log(2.0)
         known = self._known(starts, power, followed) / (2.0 * kappa)
         alone = np.array([fit.evidence(kappa) - fit.cause.price for fit in fits])
-        acting = self._acting(contact, kappa, [now])
-        lasts = _likeliest_of(acting[:, 0], starts, brief) - fits[-1].cause.price
+        acting = self._contact(contact, kappa, [now])
+        lasts = likeliest_of(acting[:, 0], starts, brief) - fits[-1].cause.price
         alone[-1] = np.maximum(alone[-1], lasts)
         late = starts + (counts + 1) // 2
         later = _since(blocks, late), _since(moments, late)
         touched = np.zeros(len(starts))
         for ends in ([now], range(1, now)):
             # what is no likelier than one of these contacts is not told
-            before = acting if now in ends else self._acting(contact, kappa, ends)
-            touched = np.maximum(touched, _contacts(before, acting[:, 0], starts, ends))
+            before = acting if now in ends else self._contact(contact, kappa, ends)
+            touched = np.maximum(touched, contacts(before, acting[:, 0], starts, ends))
             beside = _beside(fits, alone, np.max([learning, touched, known], axis=0), counts)
             judged = [
                 likeliest_window(fit, evidence, kappa, counts, *later)
@@ -790,8 +605,8 @@ class ChangeDetector:
         """
         explained, noise = np.max([fit.explained for fit in fits], axis=0), self.noise
         if (starts < brief).any():
-            acting = self._acting(contact, np.full(len(starts), noise), [len(self._blocks)])
-            lasts = _likeliest_of(acting[:, 0], starts, brief)
+            acting = self._contact(contact, np.full(len(starts), noise), [len(self._blocks)])
+            lasts = likeliest_of(acting[:, 0], starts, brief)
             explained = np.maximum(explained, 2.0 * noise * lasts)
         usual = np.median(self._power) * (len(self._blocks) - starts)
         size = np.divide(explained, carried, out=np.zeros(len(starts)), where=carried > 0.0)
@@ -863,21 +678,6 @@ class ChangeDetector:
                 moments[row] -= block.wrench[2][:, part] @ theta
         return ContactSums(own, np.array([block.wrench[0] for block in blocks]), moments)
 
-    def _acting(self, sums: ContactSums, kappa: Array, ends: Sequence[int]) -> Array:
-        """(B, E, S) log evidence over none of what acts at the hand, or on each output, since each
-        of the blocks and until some, under noise kappa (S,)."""
-        kappa, which = np.unique(kappa, return_inverse=True)
-        return self._contact(sums, kappa, np.array(ends, dtype=int))[..., which]
-
-    def _contact(self, sums: ContactSums, kappa: Array, ends: Indices) -> Array:
-        """(B, E, S) log evidence of a contact since each of some blocks and until others, under
-        noise kappa (S,)."""
-        scale = np.square(self._felt_scale)
-        each = wandering(*edge_sums(sums.own), scale[:, None], kappa, ends)
-        each = (np.logaddexp(each, 0.0) - log(2.0)).sum(axis=-1)  # each output feels it or not
-        at_hand = wandering(sums.grams[:, None], sums.moments[:, None], self._push[None] ** 2, kappa, ends)
-        return np.asarray(np.maximum(each, at_hand[..., 0]).max(axis=1))
-
     def contact_rather(self, row: int, came: bool, since: int, shares: Array) -> bool:
         """Return whether the robot is touched, or may be, rather than that a known effect ``came``, or
         went, within the first block from a stamp [ns] on.
@@ -897,8 +697,8 @@ class ChangeDetector:
         kappa = self.noise * max(float((np.square(shares) * added[1]).sum()) / usual, 1.0)
         known = float(gained(added, came).sum() / (2.0 * kappa))
         ends = np.arange(1, len(after) + 1)
-        acting = self._contact(self._without(after, None), np.array([kappa]), ends)
-        return known <= float(_contacts(acting, acting[:, -1], np.array([0]), ends)[0])
+        acting = self._contact(self._without(after, None), np.array([kappa]), ends.tolist())
+        return known <= float(contacts(acting, acting[:, -1], np.array([0]), ends)[0])
 
     def _end(self, followed: Followed) -> End | None:
         """Since when the change that is followed is over; None while it is there."""
@@ -999,34 +799,6 @@ class ChangeDetector:
 def _knew_no_better(fit: CauseFit, kappa: Array) -> Array:
     """(S,) log evidence of theta ~ N(0, P), or N(0, kappa P)."""
     return np.maximum(fit.evidence(kappa), fit.evidence(kappa, kappa[:, None]))
-
-
-def _contacts(before: Array, acting: Array, starts: Indices, ends: Iterable[int]) -> Array:
-    """(S,) log evidence over none of the likeliest contact that began at any block since each of
-    some starts, was over at one of some, and lasted as long as one may; and of one after a break.
-
-    :param before: (B, E, S) of what acts until one of the ends. :param acting: (B, S) until now.
-    """
-    found, now = [np.zeros(len(starts))], np.full(len(starts), len(acting))
-    for number, end in enumerate(ends):
-        ended, began = np.full(len(starts), end), np.maximum(starts, end - LASTING)
-        one = _likeliest_of(before[:, number], began, ended)
-        found.append(one + _likeliest_of(acting, ended + BREAK, now))
-    return np.max(found, axis=0)
-
-
-def _likeliest_of(acting: Array, first: Indices, last: Indices) -> Array:
-    """(S,) the largest of an evidence (B, S) since any block from ``first`` on and before ``last``;
-    that of none is 0."""
-    block = np.arange(len(acting))[:, None]
-    found = np.where((block >= first) & (block < last), acting, 0.0)
-    return np.asarray(found.max(axis=0, initial=0.0))
-
-
-def _with_prior(gram: Array) -> Array:
-    """A + I for (..., k, k), where I is not so small beside A that it would be lost."""
-    largest = np.diagonal(gram, axis1=-2, axis2=-1).max(axis=-1)
-    return np.asarray(gram + (1.0 + ROUNDED * largest)[..., None, None] * np.eye(gram.shape[-1]))
 
 
 def _of_equal_size(causes: Sequence[Cause]) -> list[tuple[Indices, Indices]]:

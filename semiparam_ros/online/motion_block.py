@@ -13,6 +13,8 @@ import numpy as np
 from semiparam_ros.core.compiled import Matrix, Stack, Vector, compiled, direct
 from semiparam_ros.core.types import Array
 
+BLOCK_S = 0.25
+"""[s of motion]"""
 EDGES = 12
 """A wrench at the hand when a block begins, and when it ends."""
 
@@ -105,3 +107,10 @@ def add_to_block(sums: BlockSums, columns: Matrix, turned: Matrix, felt: Matrix,
 
 
 add_sample = direct(add_to_block)
+
+
+def gained(added: Array, came: bool) -> Array:
+    """(..., n) squares of each output that known effects explain which ``came``, or went, by the
+    sums (..., 2, n) that a block has of them."""
+    along, own = np.moveaxis(added, -2, 0)
+    return np.asarray((2.0 if came else -2.0) * along - own)

@@ -8,16 +8,28 @@ random walk, from the last edge B back, so that one pass tells of every block at
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
+from math import log
+from typing import NamedTuple
+
 import numpy as np
 
 from semiparam_ros.core.compiled import Integers, Matrix, Part, Stack, Vector, compiled
+from semiparam_ros.core.robot.external_wrench import push_wrench
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.robot.size import push_force, reach_of, size_beyond
 from semiparam_ros.core.types import Array, Indices
+from semiparam_ros.online.motion_block import BLOCK_S
 
 WANDERS = (0.3, 0.1, 0.03)
 """[shares of its prior's standard deviation] What acts in a contact changes so much from block to
 block."""
+CONTACT_S = 6.0
+"""A contact does not last longer: what does is a change."""
+LASTING = round(CONTACT_S / BLOCK_S)
+"""[blocks]"""
+BREAK = 4
+"""[blocks] The next contact begins so much later at least."""
 
 
 def contact_scale(body: RigidBody) -> Array:
@@ -26,6 +38,55 @@ def contact_scale(body: RigidBody) -> Array:
         return push_force(body) * np.repeat([1.0, reach_of(body)], 3)
     lever = [1.0 if joint in body.prismatic else size_beyond(body, joint).length for joint in body.output_names]
     return push_force(body) * np.array(lever)
+
+
+class ContactSums(NamedTuple):
+    """Sums of B blocks by which contacts are judged: ``own`` (B, 6, n) of each output, and those of a wrench at the
+    hand, (B, 12, 12) and (B, 12); see :class:`MotionBlock`."""
+
+    own: Array
+    grams: Array
+    moments: Array
+
+
+class ContactEvidence:
+    """Log evidence of a contact with an arm over none."""
+
+    def __init__(self, body: RigidBody) -> None:
+        self._of_outputs = np.square(contact_scale(body))[:, None]
+        self._at_hand = np.square(push_wrench(body))[None]
+
+    def __call__(self, sums: ContactSums, kappa: Array, ends: Sequence[int]) -> Array:
+        """(B, E, S) of what acts at the hand, or on each output, since each of the blocks and until some, under noise
+        kappa (S,)."""
+        kappa, which = np.unique(kappa, return_inverse=True)
+        until = np.array(ends, dtype=int)
+        each = wandering(*edge_sums(sums.own), self._of_outputs, kappa, until)
+        each = (np.logaddexp(each, 0.0) - log(2.0)).sum(axis=-1)  # each output feels it or not
+        at_hand = wandering(sums.grams[:, None], sums.moments[:, None], self._at_hand, kappa, until)
+        return np.asarray(np.maximum(each, at_hand[..., 0]).max(axis=1))[..., which]
+
+
+def contacts(before: Array, acting: Array, starts: Indices, ends: Iterable[int]) -> Array:
+    """(S,) log evidence over none of the likeliest contact that began at any block since each of
+    some starts, was over at one of some, and lasted as long as one may; and of one after a break.
+
+    :param before: (B, E, S) of what acts until one of the ends. :param acting: (B, S) until now.
+    """
+    found, now = [np.zeros(len(starts))], np.full(len(starts), len(acting))
+    for number, end in enumerate(ends):
+        ended, began = np.full(len(starts), end), np.maximum(starts, end - LASTING)
+        one = likeliest_of(before[:, number], began, ended)
+        found.append(one + likeliest_of(acting, ended + BREAK, now))
+    return np.max(found, axis=0)
+
+
+def likeliest_of(acting: Array, first: Indices, last: Indices) -> Array:
+    """(S,) the largest of an evidence (B, S) since any block from ``first`` on and before ``last``;
+    that of none is 0."""
+    block = np.arange(len(acting))[:, None]
+    found = np.where((block >= first) & (block < last), acting, 0.0)
+    return np.asarray(found.max(axis=0, initial=0.0))
 
 
 def edge_sums(own: Array) -> tuple[Array, Array]:

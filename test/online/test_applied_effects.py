@@ -13,12 +13,11 @@ from semiparam_ros.effects.cables import CableSpring
 from semiparam_ros.online import state_file
 from semiparam_ros.online.applied_effects import TRIED_S, AppliedEffects, as_measured
 from semiparam_ros.online.change_watch import APPLIED, ASSUMED, TAKEN_BACK, TRIED
-from semiparam_ros.online.changes import BLOCK_S
 from semiparam_ros.online.feedforward import Feedforward
 from semiparam_ros.online.identified_parameters import Load
 from semiparam_ros.online.learning import Learning
 from semiparam_ros.online.model_jobs import build
-from semiparam_ros.online.motion_block import MotionBlock
+from semiparam_ros.online.motion_block import BLOCK_S, MotionBlock
 from support.arms import icub, smooth_motion
 from support.changing_arm import LOADED_S, caught, exchanged, free, loaded, offered, pushed, turned
 from support.loaded_stage import begun

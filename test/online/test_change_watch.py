@@ -26,8 +26,9 @@ from semiparam_ros.online.change_watch import (
     Decision,
     LearntChange,
 )
-from semiparam_ros.online.changes import Change, ChangeDetector
+from semiparam_ros.online.changes import ChangeDetector
 from semiparam_ros.online.diagnosis_jobs import name_change as name_in_background
+from semiparam_ros.online.followed_change import Change
 from semiparam_ros.online.identified_parameters import Load
 from semiparam_ros.online.learning import Learning, directions_of, learning_after, learning_of
 from support.arms import ODD_BODY

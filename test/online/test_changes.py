@@ -17,11 +17,13 @@ from semiparam_ros.core.robot.size import push_force, size_beyond
 from semiparam_ros.diagnosis.change import gain_since, name_change
 from semiparam_ros.effects import effect_from_text
 from semiparam_ros.online.change_causes import Judged
-from semiparam_ros.online.changes import JUDGED_ANEW, LENGTHS, USUAL, ChangeDetector
+from semiparam_ros.online.changes import ChangeDetector
 from semiparam_ros.online.diagnosis_jobs import diagnose
+from semiparam_ros.online.followed_change import JUDGED_ANEW
 from semiparam_ros.online.history import batch_of
 from semiparam_ros.online.learning import Learning
 from semiparam_ros.online.motion_block import MotionBlock
+from semiparam_ros.online.usual_noise import LENGTHS, USUAL
 from semiparam_ros.online.wandering_contact import WANDERS, contact_scale, wandering
 from semiparam_ros.settings import load_params
 from semiparam_ros.settings.build import build_rigid_body
@@ -190,7 +192,7 @@ def test_a_load_that_is_followed_is_no_contact():
     detector = told(body, samples[samples.time < LOADED_S[0] + 12.0])[2]
     assert detector.followed.blocks > JUDGED_ANEW
     noise, now = np.array([detector.noise]), [len(detector._blocks)]
-    with_it, without = (detector._acting(detector._without(detector._blocks, followed), noise, now)
+    with_it, without = (detector._contact(detector._without(detector._blocks, followed), noise, now)
                         for followed in (None, detector.followed))
     assert with_it.max() > 1000.0
     assert without.max() < 0.05 * with_it.max()
