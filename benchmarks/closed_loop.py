@@ -46,7 +46,7 @@ from semiparam_ros.core.signals.differentiation import CausalDifferentiator
 from semiparam_ros.core.types import Array
 from semiparam_ros.experiments.evaluation import OfflineLearner
 from semiparam_ros.online.change_watch import STATES, ChangeRecord
-from semiparam_ros.online.contact_gate import SPEEDS
+from semiparam_ros.online.usual_peaks import SPEEDS
 from semiparam_ros.settings import Settings
 from semiparam_ros.settings.robot_description import moving_joints, robot_description
 from semiparam_ros.simulation.arm import Arm

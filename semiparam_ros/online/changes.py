@@ -20,7 +20,7 @@ that is kept of the samples, for each quarter of a second b of motion, with S = 
 what a cause explains beside its prior theta ~ N(0, I). How large it is in free motion is learnt,
 for innovations are coloured, and no model is exactly true. The root of q over its usual mean square
 has a tail, and what stands out is a ratio that chance exceeds only so often an hour over all causes
-and lengths (:class:`~semiparam_ros.online.contact_gate.Tail`). Motion that the model has not seen
+and lengths (:class:`~semiparam_ros.online.usual_peaks.Tail`). Motion that the model has not seen
 weighs less.
 
 *Telling.* What stands out is judged by the log evidence of each hypothesis over the free one, with
@@ -81,17 +81,12 @@ from semiparam_ros.online.change_causes import (
     load_scale,
     with_prior,
 )
-from semiparam_ros.online.contact_gate import (
-    BEYOND,
-    JUST_BEYOND,
-    SPEEDS,
-    UNSEEN_FACTOR,
-    UNSEEN_S,
-)
+from semiparam_ros.online.contact_gate import BEYOND, JUST_BEYOND, UNSEEN_FACTOR, UNSEEN_S
 from semiparam_ros.online.followed_change import JUDGED_ANEW, Change, End, Followed
 from semiparam_ros.online.identified_parameters import Load
 from semiparam_ros.online.motion_block import BLOCK_S, BlockSums, MotionBlock, add_sample, gained
 from semiparam_ros.online.usual_noise import LENGTHS, USUAL, Usual
+from semiparam_ros.online.usual_peaks import SPEEDS
 from semiparam_ros.online.wandering_contact import LASTING, ContactEvidence, ContactSums, contacts, likeliest_of
 
 SINCE = (32, 28, 24, 20, 16, 14, 12, 10, 8, 7, 6, 5, 4)

@@ -2,7 +2,7 @@
 
 Innovations are coloured, and no model is exactly true: so what causes explain of free motion is learnt, over windows
 of each length. The root of it over its usual mean square has a tail, and what stands out is a ratio that chance exceeds
-only so often an hour over all causes and lengths (:class:`~semiparam_ros.online.contact_gate.Tail`).
+only so often an hour over all causes and lengths (:class:`~semiparam_ros.online.usual_peaks.Tail`).
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ from collections import deque
 import numpy as np
 
 from semiparam_ros.core.types import Array
-from semiparam_ros.online.contact_gate import Tail
 from semiparam_ros.online.motion_block import BLOCK_S
+from semiparam_ros.online.usual_peaks import Tail
 
 LENGTHS = (2, 4, 8, 16, 32)
 """[blocks] Half a second to eight."""
