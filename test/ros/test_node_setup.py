@@ -10,7 +10,7 @@ from semiparam_ros.effects import kinds
 from semiparam_ros.online import diagnosis_jobs
 from semiparam_ros.online.history import batch_of
 from semiparam_ros.ros.estimator.services import _written
-from semiparam_ros.ros.estimator.setup_check import SetupCheck
+from semiparam_ros.ros.estimator.setup_check import SetupCheck, _without_figures
 from support.learner_stage import Stage
 from support.node_helpers import BODY, JOINTS, SETTINGS, DelayedBackground, InlineBackground, motion
 
@@ -76,3 +76,21 @@ def test_a_saved_state_names_what_is_not_in_it():
     told = _written('s.npz', [load], 'it is s.npz.1 now.')
     assert told == ('s.npz is written. The one before: it is s.npz.1 now. Not in it, as it is not applied yet: '
                     'payload at hand; save again then.')
+
+
+def test_a_problem_is_the_same_whatever_its_figures_are():
+    """Shares, steps and ratios differ from look to look."""
+    stage, background = Stage(replace(SETTINGS, variant='P'), InlineBackground()), DelayedBackground()
+    check = SetupCheck(background, stage.failed)
+    rng = np.random.default_rng(0)
+    samples = [sample._replace(velocity=sample.velocity / 3.0 * (1.0 + 0.1 * rng.standard_normal(2)))
+               for sample in motion(1600)]
+    told = []
+    for part in (samples[:800], samples[800:]):
+        stage.offer(part)
+        check.look(stage.learner)
+        told.append(diagnosis_jobs.setup_problems(BODY, stage.learner.history.span(300.0), (), (), ()))
+        background.run()
+    assert told[0] and told[0] != told[1], 'the figures differ'
+    assert check.problems == told[1] and not stage.failures
+    assert _without_figures("The joints 'j1' and '2' are 1.2e-05 s apart.") == "The joints 'j1' and '2' are  s apart."

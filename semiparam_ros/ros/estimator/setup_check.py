@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 from functools import partial
 
@@ -17,8 +18,8 @@ class SetupCheck:
     """Asks the process beside the node to look at the samples once a model answers, and again whenever there are twice
     as many of them.
 
-    ``problems`` are sentences, each said by two looks in a row: a short motion shows little. ``checked`` is how many
-    samples the last look was given.
+    ``problems`` are sentences, each said by two looks in a row, whatever their figures: a short motion shows little.
+    ``checked`` is how many samples the last look was given.
 
     :param failed: told of an error that is not expected.
     """
@@ -59,5 +60,10 @@ class SetupCheck:
         if error is not None and not isinstance(error, SemiparamError):
             self._failed('the check of the set-up', error)
         self.checked = self._looked_at
-        self.problems = [sentence for sentence in found or () if sentence in self._latest]
-        self._latest = set(found or ())
+        self.problems = [sentence for sentence in found or () if _without_figures(sentence) in self._latest]
+        self._latest = set(map(_without_figures, found or ()))
+
+
+def _without_figures(sentence: str) -> str:
+    """A sentence without the numbers in it that are part of no name."""
+    return re.sub(r"(?<![\w'])\d[\d.]*(e[+-]?\d+)?", '', sentence)
