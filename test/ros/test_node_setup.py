@@ -7,6 +7,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 
 from semiparam_ros.diagnosis.setup.checks import NO_MATCH, setup_problems
 from semiparam_ros.effects import kinds
+from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online import diagnosis_jobs
 from semiparam_ros.online.history import batch_of
 from semiparam_ros.ros.estimator.services import _written
@@ -94,3 +95,36 @@ def test_a_problem_is_the_same_whatever_its_figures_are():
     assert told[0] and told[0] != told[1], 'the figures differ'
     assert check.problems == told[1] and not stage.failures
     assert _without_figures("The joints 'j1' and '2' are 1.2e-05 s apart.") == "The joints 'j1' and '2' are  s apart."
+
+
+def looked(samples, background, told=SENTENCE):
+    """A stage and its check, after two looks that told something."""
+    stage = Stage(replace(SETTINGS, variant='P'), InlineBackground())
+    check = SetupCheck(background, stage.failed)
+    for part in (samples[:800], samples[800:1600]):
+        stage.offer(part)
+        check.look(stage.learner)
+        background.run()
+    assert told in check.problems[0] and check.checked == 1600
+    return stage, check
+
+
+def test_a_look_at_little_or_that_fails_forgets_no_problem():
+    """After a jump of the clock there are few samples; a process may be killed."""
+    samples, background = [sample._replace(outputs=-sample.outputs) for sample in motion(3400)], DelayedBackground()
+    stage, check = looked(samples, background)
+    stage.offer(samples[1600:3190])
+    stage.learner.clear_pending()
+    stage.offer(samples[:20])
+    check.look(stage.learner)
+    background.run()
+    assert SENTENCE in check.problems[0] and check.checked == 1600
+    stage.offer(samples[20:1000])
+    check.look(stage.learner)
+    job = background.jobs.popleft()
+    job.done(None, SemiparamError('the background process died 2 times over it.'))
+    assert SENTENCE in check.problems[0] and check.checked == 1600 and not stage.failures
+    check._looked_at = 1600
+    check.look(stage.learner)
+    background.run()
+    assert SENTENCE in check.problems[0] and check.checked == 1000

@@ -45,23 +45,26 @@ class SetupCheck:
             self._begin_anew()
         if self._job is not None or not learner.estimator.ready or count < max(2 * self._looked_at, 1):
             return
+        samples = diagnosis_jobs.thinned(history.span(learner.settings.diagnosis_window), 1.0)
+        if 2 * len(samples) < self.checked:  # the clock has jumped: so few would forget what more of them showed
+            return
         self._looked_at = count
-        samples = history.span(learner.settings.diagnosis_window)
         changes = learner.changes
         self._job = self._background.submit(
-            diagnosis_jobs.setup_problems, learner.body, diagnosis_jobs.thinned(samples, 1.0),
+            diagnosis_jobs.setup_problems, learner.body, samples,
             tuple(declared_effects(learner.settings)), tuple(changes.applied.contributions), changes.contacts,
-            done=partial(self._done, history))
+            done=partial(self._done, history, len(samples)))
 
-    def _done(self, history: History, found: Sequence[str] | None, error: BaseException | None) -> None:
+    def _done(self, history: History, checked: int, found: Sequence[str] | None, error: BaseException | None) -> None:
         if history is not self._history:
             return
         self._job = None
         if error is not None and not isinstance(error, SemiparamError):
             self._failed('the check of the set-up', error)
-        self.checked = self._looked_at
-        self.problems = [sentence for sentence in found or () if _without_figures(sentence) in self._latest]
-        self._latest = set(map(_without_figures, found or ()))
+        if found is not None:
+            self.checked = checked
+            self.problems = [sentence for sentence in found if _without_figures(sentence) in self._latest]
+            self._latest = set(map(_without_figures, found))
 
 
 def _without_figures(sentence: str) -> str:
