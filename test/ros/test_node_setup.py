@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 
+from semiparam_ros.core.columns import CoupledColumns
 from semiparam_ros.diagnosis.setup.checks import NO_MATCH, setup_problems
-from semiparam_ros.effects import kinds
+from semiparam_ros.effects import effect_from_text, kinds
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online import diagnosis_jobs
 from semiparam_ros.online.history import batch_of
@@ -128,3 +129,27 @@ def test_a_look_at_little_or_that_fails_forgets_no_problem():
     check.look(stage.learner)
     background.run()
     assert SENTENCE in check.problems[0] and check.checked == 1000
+
+
+def test_a_problem_that_declared_effects_mend_is_over_at_once():
+    """A history that is full never holds twice as many samples."""
+    text, rng, background = 'payload@ft{"mass": 5.0}', np.random.default_rng(0), DelayedBackground()
+    coupled, samples = CoupledColumns(BODY, [effect_from_text(text)]), motion(1600)
+    loaded = coupled.batch(batch_of((sample, 1) for sample in samples).samples)[0] @ coupled.prior_mean
+    stage, check = looked([sample._replace(outputs=outputs + 0.01 * rng.standard_normal(6)) for sample, outputs in zip(
+        samples, loaded, strict=True)], background, 'times what the robot description predicts')
+    stage.learner.settings = replace(stage.learner.settings, effects=('sensor_offset@ft',))
+    check.look(stage.learner)
+    background.run()
+    assert check.problems, 'this one mends nothing'
+    stage.learner.settings = replace(stage.learner.settings, effects=(text,))
+    check.look(stage.learner)
+    background.run()
+    assert check.problems == [] and check.checked == 1600 and not stage.failures
+    check.look(stage.learner)
+    assert not background.jobs
+    for effects in ((), ('sensor_offset@ft',)):
+        stage.learner.settings = replace(stage.learner.settings, effects=effects)
+        check.look(stage.learner)
+        background.run()
+        assert check.problems == [], 'the same samples are no second look'

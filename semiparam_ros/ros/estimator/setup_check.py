@@ -6,6 +6,7 @@ import re
 from collections.abc import Callable, Sequence
 from functools import partial
 
+from semiparam_ros.effects import Effect
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online import diagnosis_jobs
 from semiparam_ros.online.history import History
@@ -16,7 +17,7 @@ from semiparam_ros.settings.build import declared_effects
 
 class SetupCheck:
     """Asks the process beside the node to look at the samples once a model answers, and again whenever there are twice
-    as many of them.
+    as many of them, or other effects are declared.
 
     ``problems`` are sentences, each said by two looks in a row, whatever their figures: a short motion shows little.
     ``checked`` is how many samples the last look was given.
@@ -32,7 +33,7 @@ class SetupCheck:
 
     def _begin_anew(self) -> None:
         self.problems, self._latest, self.checked = [], set[str](), 0
-        self._looked_at = 0
+        self._looked_at, self._declared = 0, tuple[Effect, ...]()
         self._job: Job | None = None
 
     def look(self, learner: Learner) -> None:
@@ -43,17 +44,19 @@ class SetupCheck:
                 self._job.cancel()
             self._history = history
             self._begin_anew()
-        if self._job is not None or not learner.estimator.ready or count < max(2 * self._looked_at, 1):
+        declared = tuple(declared_effects(learner.settings))
+        due = count >= 2 * self._looked_at or declared != self._declared
+        if self._job is not None or not learner.estimator.ready or not (count and due):
             return
         samples = diagnosis_jobs.thinned(history.span(learner.settings.diagnosis_window), 1.0)
         if 2 * len(samples) < self.checked:  # the clock has jumped: so few would forget what more of them showed
             return
-        self._looked_at = count
-        changes = learner.changes
+        if count < 2 * self._looked_at:  # the same samples are no second look
+            self._latest = set(map(_without_figures, self.problems))
+        self._looked_at, self._declared, changes = count, declared, learner.changes
         self._job = self._background.submit(
-            diagnosis_jobs.setup_problems, learner.body, samples,
-            tuple(declared_effects(learner.settings)), tuple(changes.applied.contributions), changes.contacts,
-            done=partial(self._done, history, len(samples)))
+            diagnosis_jobs.setup_problems, learner.body, samples, declared, tuple(changes.applied.contributions),
+            changes.contacts, done=partial(self._done, history, len(samples)))
 
     def _done(self, history: History, checked: int, found: Sequence[str] | None, error: BaseException | None) -> None:
         if history is not self._history:
