@@ -446,6 +446,8 @@ class ChangeWatch:
             learnt = self._anew_at is not None and change.since <= self._anew_at <= self._now
             if new and not self.applies and not learnt:
                 self.follows = learning_after(change.kind)
+            elif change.ended is not None:  # before anything of it was learnt, as where learning is paused
+                self.follows = None
             if new and learnt and self._learnt and self._learnt[-1].number is None:
                 self._learnt[-1] = self._learnt[-1]._replace(number=change.number)
             self._record(change)

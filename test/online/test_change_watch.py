@@ -118,6 +118,18 @@ def test_a_model_that_returns_before_anything_is_told_tells_the_end_and_that_it_
     assert record.effect.kind == 'payload' and abs(record.named.parameters['mass'].value - mass) < 0.1 * mass
 
 
+@pytest.mark.parametrize(('until', 'follows'), [(80.0, []), (90.0, [Learning.AFTER_LOAD])])
+def test_a_load_that_is_over_when_learning_goes_on_is_not_followed(until, follows):
+    """The model was unsure of a load that was there only while learning was paused."""
+    body, samples, _ = loaded((70.0, until))
+    stage = offered(body, samples[samples.time < 69.0])
+    for learning, end in ((False, 85.0), (True, 85.5)):
+        stage.learner.settings = replace(stage.learner.settings, learning=learning)
+        stage.offer(samples[(samples.time >= samples.time[len(stage.answers)]) & (samples.time < end)])
+    assert [record.change.kind for record in stage.learner.changes.records.values()] == ['payload']
+    assert [answer.learning for answer in stage.answers if answer.learning > Learning.YES] == follows
+
+
 @pytest.mark.parametrize(('ago', 'follows'), [(0.2, None), (-0.01, Learning.AFTER_LOAD)])
 def test_what_the_model_has_returned_from_is_not_followed_when_it_is_told(ago, follows, monkeypatch):
     """The detector may tell later than the model returns; it would be unsure of the load that it knows."""
