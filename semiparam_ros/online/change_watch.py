@@ -311,6 +311,8 @@ class ChangeWatch:
         """Whether the next sample is not to be learnt, and whether it is the first one."""
         self.follows: Learning | None = None
         """What follows with the next sample that is learnt, the first one of a robot that has changed."""
+        self._waited: int | None = None
+        """Number of the change that it is, where no detector follows that any more."""
         self._assumed = 0, 0
         """The change whose load is taken off before it is named, and of how many blocks it is."""
         self._body, self._background, self._told, self._failed = body, background, told, failed
@@ -412,7 +414,7 @@ class ChangeWatch:
     def forget(self) -> None:
         """Another model predicts, of which nothing is known yet; what was told stays."""
         self.detector = self._columns = None
-        self.holds, self.follows = False, None
+        self.holds, self.follows, self._waited = False, None, None
         self.applied.assume(None)
         self.applied.settle()
         self._contacts.end(self._now)
@@ -420,7 +422,7 @@ class ChangeWatch:
     def reset(self) -> None:
         """Drop what is half seen, as after a jump of the clock: what came before is no longer there
         to name a change from."""
-        self.follows = self._anew_at = None
+        self.follows = self._anew_at = self._waited = None
         self.applied.reset()
         self._contacts.reset()
         self._due, self._past, self._first = [], max(self.records, default=0), None
@@ -627,16 +629,17 @@ class ChangeWatch:
 
     def _detector_of(self, columns: CoupledColumns) -> ChangeDetector:
         """Detector of a model, which goes on where the model's columns are those that it had."""
-        known = self._columns
+        known, followed = self._columns, self._followed if self.holds else None
         if (
             self.detector is None
             or known is None
             or known.n_own != columns.n_own
             or known.physical != columns.physical
+            or (followed is not None and known.effects != columns.effects)
         ):
-            followed = self._followed if self.holds else None
             self.forget()  # what stood out of another model keeps nothing from being learnt
-            self.follows = None if followed is None else learning_after(followed.change.kind)
+            if followed is not None:
+                self.follows, self._waited = learning_after(followed.change.kind), followed.change.number
             self.detector = ChangeDetector(columns, max(self._forgotten, *self.records, 0))
         elif known.effects != columns.effects:
             self.detector.reset()
@@ -748,8 +751,8 @@ class ChangeWatch:
     def began_anew(self, learning: Learning, told: bool) -> None:
         """The model has followed a change, of which nobody has told where the contact gate gave way to it."""
         followed = self._followed
-        number = followed.change.number if told and followed is not None else None
-        self._learnt = [*self._learnt[-1:], LearntChange(number, learning)]
+        number = (self._waited if followed is None else followed.change.number) if told else None
+        self._learnt, self._waited = [*self._learnt[-1:], LearntChange(number, learning)], None
         if not told:
             self._anew_at = self._now
 

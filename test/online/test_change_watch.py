@@ -862,6 +862,20 @@ def test_what_stood_out_of_a_model_keeps_nothing_from_being_learnt_by_one_of_oth
     assert not watch.holds and not watch.applied.acts and watch.follows == follows
 
 
+def test_a_load_that_is_tried_while_effects_are_declared_is_one_change():
+    """It was told a second time as one that was none, and its end was not."""
+    robot = {name: getattr(described(), name) for name in ('robot_description', 'joints', 'sensor_frame',
+                                                           'wrench_convention')}
+    stage, (_, samples, _) = begun(3.0, diagnosis_auto='apply', **robot), loaded()
+    watch, count = stage.learner.changes, len(stage.answers)
+    assert watch.holds and watch.applied.provisional is not None
+    stage.learner.change(replace(stage.learner.settings, effects=('sensor_gain',)))
+    stage.offer(samples[(samples.time >= samples.time[count]) & (samples.time < LOADED_S[0] + 8.0)])
+    assert stage.answers[count + 1].learning == Learning.AFTER_LOAD
+    assert watch._learnt == [LearntChange(1, Learning.AFTER_LOAD)], 'the end of which is told when the model returns'
+    assert [record.effect.kind for record in watch.records.values()] == ['payload'] and not stage.failures
+
+
 @pytest.mark.parametrize(('now', 'follows'), [(False, Learning.AFTER_LOAD), (True, None)])
 def test_what_waited_to_be_applied_is_followed_when_nothing_is_applied_any_more(now, follows):
     """After ``diagnosis.auto`` went from ``apply`` to ``report`` the load was learnt as if the arm had not changed: the
