@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO
+from zlib import crc32
 
 from semiparam_ros.errors import SemiparamError
 
@@ -98,8 +99,10 @@ def remove_leftovers(path: str | os.PathLike[str]) -> None:
 
 
 def _prefix(path: Path) -> str:
-    """Prefix of the neighbours: hidden, and short enough for a long name, whose letters may have four bytes each."""
-    return f'.{path.name[:60]}.'
+    """Prefix of the neighbours: hidden, no other file's, and short enough for a long name, whose letters may have four
+    bytes each."""
+    name = path.name
+    return f'.{name if len(name) <= 60 else f"{name[:52]}{crc32(os.fsencode(name)):08x}"}.'
 
 
 def _neighbour(path: Path) -> Path:

@@ -101,6 +101,15 @@ def test_what_a_killed_writer_left_is_removed(tmp_path):
     assert sorted(os.listdir(tmp_path)) == ['.x.npz.mine', '.x.npzx.0123456789ab', 'x.npz']
 
 
+def test_what_another_writer_writes_under_a_long_name_like_this_one_stays(tmp_path):
+    """Of two arms whose namespaces begin with the same sixty letters one could not save a state while the other did."""
+    left, right = (tmp_path / f'{"robots.line_3.cell_07." * 3}{side}.checkpoint.npz' for side in ('left', 'right'))
+    with replacing(left) as stream:
+        stream.write(b'left')
+        remove_leftovers(right)
+    assert left.read_bytes() == b'left'
+
+
 @pytest.mark.parametrize(('name', 'reason'), [
     ('none/x', 'No such file'), ('', 'it is a folder'), ('/', 'it is a folder'), ('/dev/null', 'a device or a pipe'),
     ('a\0b', 'null character'), ('n' * 300, 'File name too long')])
