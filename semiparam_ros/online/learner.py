@@ -587,6 +587,8 @@ class Learner:
             if (self.estimator.window_full or self._renewal.refines) and self.switcher.successor is None:
                 self._asked = self.answered if self._asked is None else self._asked
                 self.switcher.appoint(self.settings, self.history)
+            elif self._asked is not None and self._recent is not None and self.switcher.successor is None:
+                self.switcher.renew(self.built, self.history, self._recent)  # it gave way to a model that did not come
             self.switcher.set_shadows(self.settings, self.history, retry)
         elif self.switcher.successor is None:
             self.switcher.appoint(self.settings, self.history)

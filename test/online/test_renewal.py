@@ -178,6 +178,25 @@ def test_an_estimate_from_a_later_window_gives_way_to_what_a_user_asks_for(wish)
     assert same_model(stage.learner.built, wanted) and 'takes over' in stage.news[-1]
 
 
+@pytest.mark.parametrize('fails', [False, True])
+def test_an_estimate_that_gave_way_to_a_model_that_does_not_come_is_made_after_all(fails):
+    """The model went on with hyperparameters of slow motion, until twice as many samples had been learnt."""
+    stage = Stage(SLOWER)
+    stage.offer_and_build(DAY[:100])
+    played = 100
+    while not stage.background.jobs:
+        stage.offer(DAY[played:played + 1])
+        played += 1
+    stage.learner.change(replace(SLOWER, variant='P'))
+    if fails:
+        stage.background.jobs.pop().done(None, SemiparamError('there was no memory for it.'))
+    else:
+        stage.learner.change(SLOWER)
+    stage.offer_and_build(DAY[played:played + 10])
+    assert stage.learner.renewals == 1 and stage.learner.switcher.renewed
+    assert same_model(stage.learner.built, SLOWER) and 'has new hyperparameters and takes over' in stage.news[-1]
+
+
 def test_motion_within_the_window_is_no_reason():
     stage = Stage(SLOWER, InlineBackground())
     stage.offer([*SAMPLES[:200], *faster(SAMPLES[200:], 0.1)])
