@@ -94,18 +94,18 @@ def diagnose(body: RigidBody, batch: SampleBatch, effects: Sequence[Effect],
 
 
 def setup_problems(body: RigidBody, batch: SampleBatch, effects: Sequence[Effect], taken_off: Sequence[Contribution],
-                   contacts: Sequence[tuple[int, int]]) -> list[str]:
-    """Tell what seems wrong with the set-up, a sentence each; arguments as of :func:`diagnose`.
+                   contacts: Sequence[tuple[int, int]]) -> dict[tuple[str, str | None], str]:
+    """Tell what seems wrong with the set-up, what and where with a sentence each; arguments as of :func:`diagnose`.
 
     That no inertias explain the outputs is no such thing before an effect was looked for.
     """
     from semiparam_ros.diagnosis.setup.checks import NO_MATCH, setup_problems
 
     if batch.samples is None:
-        return []
+        return {}
     samples = as_measured(body, batch.samples, taken_off)
     found = setup_problems(body, samples, touched=_seconds(contacts, samples.origin), effects=effects)
-    return [problem.sentence for problem in found if problem.what != NO_MATCH]
+    return {(problem.what, problem.where): problem.sentence for problem in found if problem.what != NO_MATCH}
 
 
 def name_change(

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping
 from functools import partial
 
 from semiparam_ros.effects import Effect
@@ -14,12 +13,14 @@ from semiparam_ros.online.learner import Learner
 from semiparam_ros.online.worker import Background, Job
 from semiparam_ros.settings.build import declared_effects
 
+Problem = tuple[str, str | None]
+"""What is wrong, and where."""
+
 
 class SetupCheck:
     """Asks the process beside the node to look at the samples once a model answers, and again whenever there are twice
     as many of them, or other effects are declared.
 
-    ``problems`` are sentences, each said by two looks in a row, whatever their figures: a short motion shows little.
     ``checked`` is how many samples the last look was given.
 
     :param failed: told of an error that is not expected.
@@ -27,14 +28,20 @@ class SetupCheck:
 
     def __init__(self, background: Background, failed: Callable[[str, BaseException], object]) -> None:
         self._background, self._failed = background, failed
-        self.problems: list[str] = []
         self._history: History | None = None
         self._begin_anew()
 
     def _begin_anew(self) -> None:
-        self.problems, self._latest, self.checked = [], set[str](), 0
-        self._looked_at, self._declared = 0, tuple[Effect, ...]()
+        self._told: Mapping[Problem, str] = {}
+        self._latest: Mapping[Problem, str] = {}
+        self.checked = self._looked_at = 0
+        self._declared = tuple[Effect, ...]()
         self._job: Job | None = None
+
+    @property
+    def problems(self) -> list[str]:
+        """A sentence for each problem that two looks in a row have found: a short motion shows little."""
+        return list(self._told.values())
 
     def look(self, learner: Learner) -> None:
         """Ask for a look, if one is due."""
@@ -52,13 +59,14 @@ class SetupCheck:
         if 2 * len(samples) < self.checked:  # the clock has jumped: so few would forget what more of them showed
             return
         if count < 2 * self._looked_at:  # the same samples are no second look
-            self._latest = set(map(_without_figures, self.problems))
+            self._latest = self._told
         self._looked_at, self._declared, changes = count, declared, learner.changes
         self._job = self._background.submit(
             diagnosis_jobs.setup_problems, learner.body, samples, declared, tuple(changes.applied.contributions),
             changes.contacts, done=partial(self._done, history, len(samples)))
 
-    def _done(self, history: History, checked: int, found: Sequence[str] | None, error: BaseException | None) -> None:
+    def _done(self, history: History, checked: int, found: Mapping[Problem, str] | None,
+              error: BaseException | None) -> None:
         if history is not self._history:
             return
         self._job = None
@@ -66,10 +74,5 @@ class SetupCheck:
             self._failed('the check of the set-up', error)
         if found is not None:
             self.checked = checked
-            self.problems = [sentence for sentence in found if _without_figures(sentence) in self._latest]
-            self._latest = set(map(_without_figures, found))
-
-
-def _without_figures(sentence: str) -> str:
-    """A sentence without the numbers in it that are part of no name."""
-    return re.sub(r"(?<![\w'])\d[\d.]*(e[+-]?\d+)?", '', sentence)
+            self._told = {problem: found[problem] for problem in found if problem in self._latest}
+            self._latest = found
