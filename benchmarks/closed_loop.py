@@ -45,7 +45,8 @@ from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.signals.differentiation import CausalDifferentiator
 from semiparam_ros.core.types import Array
 from semiparam_ros.experiments.evaluation import OfflineLearner
-from semiparam_ros.online.change_watch import STATES, ChangeRecord
+from semiparam_ros.online.change_record import ChangeRecord
+from semiparam_ros.online.change_watch import STATES
 from semiparam_ros.online.usual_peaks import SPEEDS
 from semiparam_ros.settings import Settings
 from semiparam_ros.settings.robot_description import moving_joints, robot_description

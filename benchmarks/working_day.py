@@ -46,7 +46,7 @@ from semiparam_ros.cli.simulate import write_bag
 from semiparam_ros.core.horizon_error import HorizonErrors
 from semiparam_ros.core.stamps import stamp_ns
 from semiparam_ros.core.types import Array, Mask, Stamps
-from semiparam_ros.online.change_watch import ChangeRecord
+from semiparam_ros.online.change_record import ChangeRecord
 from semiparam_ros.online.learner import Answer, Learner
 from semiparam_ros.online.model_jobs import absorb
 from semiparam_ros.online.renewal import RecentWindow

@@ -28,7 +28,7 @@ from semiparam_ros.core.stamps import stamp_ns
 from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.experiments.evaluation import VariantScores, update_times
-from semiparam_ros.online.change_watch import ChangeRecord
+from semiparam_ros.online.change_record import ChangeRecord
 from semiparam_ros.report.horizon_figure import plot_indices
 from semiparam_ros.settings import Settings, load_params
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from semiparam_ros.core.robot.external_wrench import ExternalWrench
     from semiparam_ros.core.types import Array
     from semiparam_ros.experiments.evaluation import OfflineLearner, VariantScores
-    from semiparam_ros.online.change_watch import ChangeRecord
+    from semiparam_ros.online.change_record import ChangeRecord
     from semiparam_ros.online.learner import Answer
     from semiparam_ros.settings import Settings
 

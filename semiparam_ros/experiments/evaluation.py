@@ -16,7 +16,7 @@ from semiparam_ros.core.prediction import Prediction
 from semiparam_ros.core.samples import Sample, variance
 from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError
-from semiparam_ros.online.change_watch import ChangeRecord
+from semiparam_ros.online.change_record import ChangeRecord
 from semiparam_ros.online.learner import Answer, Learner, LearnerListener
 from semiparam_ros.online.model_jobs import finish_window, renew
 from semiparam_ros.online.worker import Done, Job, Result, Urgency

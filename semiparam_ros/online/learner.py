@@ -27,7 +27,8 @@ from semiparam_ros.core.stamps import NANOSECONDS
 from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online import model_jobs
-from semiparam_ros.online.change_watch import QUIET, ChangeRecord, ChangeWatch
+from semiparam_ros.online.change_record import ChangeRecord
+from semiparam_ros.online.change_watch import QUIET, ChangeWatch
 from semiparam_ros.online.compensation import Compensation, bodies_and_bias
 from semiparam_ros.online.contact_gate import ContactGate, standardised_innovation
 from semiparam_ros.online.history import History, SampleBatch

@@ -12,7 +12,7 @@ from semiparam_ros.effects import effect_from_text
 from semiparam_ros.effects.cables import CableSpring
 from semiparam_ros.online import state_file
 from semiparam_ros.online.applied_effects import TRIED_S, AppliedEffects, as_measured
-from semiparam_ros.online.change_watch import APPLIED, ASSUMED, TAKEN_BACK, TRIED
+from semiparam_ros.online.change_record import APPLIED, ASSUMED, TAKEN_BACK, TRIED
 from semiparam_ros.online.feedforward import Feedforward
 from semiparam_ros.online.identified_parameters import Load
 from semiparam_ros.online.learning import Learning

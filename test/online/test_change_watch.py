@@ -16,16 +16,8 @@ from semiparam_ros.errors import SemiparamError
 from semiparam_ros.experiments.evaluation import OfflineLearner
 from semiparam_ros.online import change_watch
 from semiparam_ros.online.change_causes import causes_of, friction_directions, load_directions
-from semiparam_ros.online.change_watch import (
-    APPLIED,
-    ASSUMED,
-    TAKEN_BACK,
-    TRIED,
-    ChangeRecord,
-    ChangeWatch,
-    Decision,
-    LearntChange,
-)
+from semiparam_ros.online.change_record import APPLIED, ASSUMED, TAKEN_BACK, TRIED, ChangeRecord, Decision
+from semiparam_ros.online.change_watch import ChangeWatch, LearntChange
 from semiparam_ros.online.changes import ChangeDetector
 from semiparam_ros.online.diagnosis_jobs import name_change as name_in_background
 from semiparam_ros.online.followed_change import Change

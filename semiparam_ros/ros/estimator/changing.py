@@ -13,7 +13,8 @@ from rclpy.node import Node
 from semiparam_ros.atomic_write import append_line
 from semiparam_ros.core.stamps import NANOSECONDS
 from semiparam_ros.errors import SemiparamError
-from semiparam_ros.online.change_watch import QUIET, STATES, ChangeRecord
+from semiparam_ros.online.change_record import ChangeRecord
+from semiparam_ros.online.change_watch import QUIET, STATES
 from semiparam_ros.online.file_thread import FileThread
 from semiparam_ros.online.folder_lock import FolderLock
 from semiparam_ros.online.learner import Learner

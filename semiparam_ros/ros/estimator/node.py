@@ -16,7 +16,7 @@ from semiparam_ros.core.horizon_error import HorizonErrors
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Sample
 from semiparam_ros.errors import SemiparamError, shortened
-from semiparam_ros.online.change_watch import ChangeRecord
+from semiparam_ros.online.change_record import ChangeRecord
 from semiparam_ros.online.folder_lock import FolderLock
 from semiparam_ros.online.learner import Answer, Learner, LearnerListener
 from semiparam_ros.online.model_switcher import same_model
