@@ -2,10 +2,9 @@
 
 import ast
 import sys
+from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
-
-import pytest
 
 from semiparam_ros.effects import kinds
 
@@ -45,10 +44,17 @@ ONLY_ROS = {'rclpy', 'rcl_interfaces', 'sensor_msgs', 'geometry_msgs', 'std_msgs
             'diagnostic_msgs', 'rosgraph_msgs', 'builtin_interfaces'}
 
 
+@cache
+def nodes(path: Path) -> list[ast.AST]:
+    """Everything in the syntax of a module."""
+    return [*ast.walk(ast.parse(path.read_text(encoding='utf-8')))]
+
+
+@cache
 def imports(path: Path) -> set[str]:
     """Dotted names of everything a module imports, at its top or inside its functions."""
     found: set[str] = set()
-    for node in ast.walk(ast.parse(path.read_text(encoding='utf-8'))):
+    for node in nodes(path):
         if isinstance(node, ast.Import):
             found.update(alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -79,35 +85,34 @@ def within(*layers: str) -> list[Path]:
     return [path for path in MODULES if layer(path) in layers]
 
 
-def name_of(path: Path) -> str:
-    return str(path.relative_to(PACKAGE))
+def libraries(path: Path) -> set[str]:
+    """Packages that a module imports."""
+    return {name.split('.')[0] for name in imports(path)}
 
 
 def test_every_layer_has_a_rule():
     assert {layer(path) for path in MODULES} <= {*MAY_IMPORT, '__init__'}
 
 
-@pytest.mark.parametrize('path', MODULES, ids=name_of)
-def test_dependencies_point_one_way(path):
-    assert offences(path) == []
+def test_dependencies_point_one_way():
+    for path in MODULES:
+        assert offences(path) == [], path
 
 
-@pytest.mark.parametrize('path', within(*NUMERIC), ids=name_of)
-def test_numbers_need_numeric_libraries_alone(path):
-    outside = {name.split('.')[0] for name in imports(path)} - {'semiparam_ros', *sys.stdlib_module_names}
-    assert outside <= NUMERIC_MAY_IMPORT
+def test_numbers_need_numeric_libraries_alone():
+    for path in within(*NUMERIC):
+        assert libraries(path) <= {'semiparam_ros', *sys.stdlib_module_names, *NUMERIC_MAY_IMPORT}, path
 
 
-@pytest.mark.parametrize('path', within('settings', 'bags', 'online', 'export', 'playback', 'experiments', 'report'),
-                         ids=name_of)
-def test_offline_parts_run_without_ros(path):
-    assert not {name.split('.')[0] for name in imports(path)} & ONLY_ROS
+def test_offline_parts_run_without_ros():
+    for path in within('settings', 'bags', 'online', 'export', 'playback', 'experiments', 'report'):
+        assert not libraries(path) & ONLY_ROS, path
 
 
-@pytest.mark.parametrize('path', [path for path in MODULES if path.name == '__init__.py'], ids=name_of)
-def test_every_room_says_what_it_is(path):
-    docstring = ast.get_docstring(ast.parse(path.read_text(encoding='utf-8'))) or ''
-    assert docstring.split('\n\n')[0].endswith('.')
+def test_every_room_says_what_it_is():
+    for path in PACKAGE.rglob('__init__.py'):
+        docstring = ast.get_docstring(nodes(path)[0]) or ''
+        assert docstring.split('\n\n')[0].endswith('.'), path
 
 
 def rooms(path: Path) -> set[str]:
@@ -128,8 +133,7 @@ def test_no_folder_of_the_diagnosis_leads_back_to_itself():
 def test_no_kind_is_named_outside_the_effects():
     names = {name for name in kinds() if '_' in name}
     for path in within('diagnosis'):
-        texts = {node.value for node in ast.walk(ast.parse(path.read_text(encoding='utf-8')))
-                 if isinstance(node, ast.Constant) and isinstance(node.value, str)}
+        texts = {node.value for node in nodes(path) if isinstance(node, ast.Constant) and isinstance(node.value, str)}
         assert not texts & names, path
 
 
@@ -139,14 +143,13 @@ NO_NOUN_OR_VERB = {'as', 'how', 'is', 'of', 'that', 'those', 'what', 'where', 'w
 
 def test_docstrings_begin_with_a_noun_or_a_verb():
     for path in MODULES:
-        nodes = [node for node in ast.walk(ast.parse(path.read_text(encoding='utf-8'))) if isinstance(node, DOCUMENTED)]
-        first = {(ast.get_docstring(node) or 'none').split()[0].lower() for node in nodes}
+        documented = [node for node in nodes(path) if isinstance(node, DOCUMENTED)]
+        first = {(ast.get_docstring(node) or 'none').split()[0].lower() for node in documented}
         assert not first & NO_NOUN_OR_VERB, path
 
 
 def test_no_class_name_stands_twice():
-    classes = [node.name for path in MODULES for node in ast.walk(ast.parse(path.read_text(encoding='utf-8')))
-               if isinstance(node, ast.ClassDef)]
+    classes = [node.name for path in MODULES for node in nodes(path) if isinstance(node, ast.ClassDef)]
     assert sorted(classes) == sorted(set(classes))
 
 
