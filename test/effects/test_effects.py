@@ -10,7 +10,8 @@ import re
 import sys
 import textwrap
 from dataclasses import replace
-from itertools import permutations
+from functools import cache
+from itertools import permutations, product
 
 import numpy as np
 import pytest
@@ -20,7 +21,7 @@ from semiparam_ros.core.robot.frames import nearest_link
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.robot.small_turns import SmallTurns
 from semiparam_ros.core.samples import Sample, Samples
-from semiparam_ros.diagnosis.regression import fit_model
+from semiparam_ros.diagnosis.regression import Fit, fit_model
 from semiparam_ros.diagnosis.search.candidates import added_columns
 from semiparam_ros.effects import Effect, effect_from_text, effect_to_text, effects_to_parameters, kinds, registry
 from semiparam_ros.effects.application_point import AtPoint
@@ -127,12 +128,16 @@ def check_neutral_calibration(body: RigidBody, effect: Effect) -> None:
         assert np.abs(changed - plain).max() > 1e-5 * scale
 
 
+@cache
+def fit_of(body: RigidBody) -> Fit:
+    """The rigid body alone, fitted to what it predicts."""
+    exact = replace(MOTION, outputs=body.regressors(MOTION) @ body.base_parameters)
+    return fit_model(body, exact, [], np.ones(len(MOTION), dtype=bool), np.ones(body.n_outputs))
+
+
 def check_candidate_columns(body: RigidBody, effect: Effect) -> None:
     """What a diagnosis would regress on: finite, one for each unknown, and none of them empty in general motion."""
-    everything = np.ones(len(MOTION), dtype=bool)
-    outputs = body.regressors(MOTION) @ body.base_parameters
-    state = fit_model(body, replace(MOTION, outputs=outputs), [], everything, np.ones(body.n_outputs))
-    columns = added_columns(state, effect)
+    columns = added_columns(fit_of(body), effect)
     assert columns.shape == (len(MOTION), body.n_outputs, len(effect.coefficients(body)) or len(effect.calibrations))
     assert np.isfinite(columns).all()
     assert np.abs(columns).max() > 0.0 or (effect.kind, effect.where) == UNSEEN
@@ -164,13 +169,14 @@ def test_both_outputs_have_the_kinds_that_the_design_lists():
         'common_gain', 'sensor_nonlinearity', 'temperature_friction'}
 
 
-@pytest.mark.parametrize('start', [{}, {'start_s': START_S}, {'start_stamp_s': START_S},
-                                   {'start_s': START_S, 'end_s': 2 * START_S}, {'end_stamp_s': START_S}],
-                         ids=['always', 's', 'stamp', 'between', 'end'])
+SPANS = ({}, {'start_s': START_S}, {'start_stamp_s': START_S}, {'start_s': START_S, 'end_s': 2 * START_S},
+         {'end_stamp_s': START_S})
+
+
 @pytest.mark.parametrize(('outputs', 'kind'), [(outputs, kind) for outputs in BODIES for kind in kinds(outputs)])
-def test_every_kind_is_declared_without_values_where_it_is_permitted_and_starts_if_it_can(outputs, kind, start):
+def test_every_kind_is_declared_without_values_where_it_is_permitted_and_starts_if_it_can(outputs, kind):
     body = BODIES[outputs]
-    for where in kinds()[kind].permitted(body):
+    for where, start in product(kinds()[kind].permitted(body), SPANS):
         declared = kinds()[kind](where).with_values(**start)
         if start and declared.is_calibration:  # it has no columns that could begin
             with pytest.raises(SemiparamError, match=f"effect '{kind}' has a start or an end; expected none"):
