@@ -115,16 +115,15 @@ def test_the_table_of_variants_is_complete():
     assert sorted(re.findall(r'^\| `([^`]+)`', section, re.MULTILINE)) == sorted(CHOICES)
 
 
-@pytest.mark.parametrize('page', [*PAGES, *LOG], ids=lambda page: page.name)
-def test_links_lead_somewhere(page):
-    text = prose(page)
-    for target in re.findall(r'\]\(([^)\s]+)\)', text):
+def test_links_lead_somewhere():
+    links = [(page, target) for page in (*PAGES, *LOG) for target in re.findall(r'\]\(([^)\s]+)\)', prose(page))]
+    for page, target in links:
         if '://' in target:
             continue
         path, _, anchor = target.partition('#')
         linked = (page.parent / path).resolve() if path else page
-        assert linked.exists(), target
-        assert not anchor or anchor in anchors(linked.read_text(encoding='utf-8')), target
+        assert linked.exists(), (page, target)
+        assert not anchor or anchor in anchors(linked.read_text(encoding='utf-8')), (page, target)
 
 
 def prose(page):
@@ -140,11 +139,10 @@ def anchors(text):
     return {re.sub(r'[^\w\- ]', '', heading.lower()).replace(' ', '-') for heading in headings}
 
 
-@pytest.mark.parametrize('page', PAGES, ids=NAMES)
-def test_every_page_is_in_the_table_of_contents(page):
+def test_every_page_is_in_the_table_of_contents():
     contents = (REPOSITORY / 'docs/index.md').read_text(encoding='utf-8').splitlines()
-    if page.parent != REPOSITORY and page.name != 'index.md':
-        assert str(page.relative_to(REPOSITORY / 'docs').with_suffix('')) in contents
+    listed = [page for page in PAGES if page.parent != REPOSITORY and page.name != 'index.md']
+    assert {str(page.relative_to(REPOSITORY / 'docs').with_suffix('')) for page in listed} <= {*contents}
 
 
 def test_every_day_is_in_the_table_of_contents_of_the_log():
@@ -155,10 +153,9 @@ def test_every_day_is_in_the_table_of_contents_of_the_log():
 CHANGES = REPOSITORY / 'CHANGELOG.rst'
 
 
-@pytest.mark.parametrize('page', [*PAGES, CHANGES], ids=[*NAMES, CHANGES.name])
-def test_no_sentence_is_long(page):
-    words = {sentence: len(re.findall(r'\S*\w\S*', sentence)) for sentence in sentences_of(page)}
-    assert not [sentence for sentence, count in words.items() if count > LONGEST]
+def test_no_sentence_is_long():
+    sentences = [(page.name, sentence) for page in (*PAGES, CHANGES) for sentence in sentences_of(page)]
+    assert [each for each in sentences if len(re.findall(r'\S*\w\S*', each[1])) > LONGEST] == []
 
 
 def test_an_entry_of_the_changelog_is_one_line():
@@ -191,9 +188,8 @@ def test_the_tables_of_the_benchmarks_are_those_of_their_files():
     assert {render['MADE'].get(name, (name,))[0] for name in named} == {*files, 'sources'}
 
 
-@pytest.mark.parametrize('page', PAGES, ids=NAMES)
-def test_paths_that_a_page_names_exist(page):
-    text = page.read_text(encoding='utf-8')
+def test_paths_that_pages_name_exist():
+    text = '\n'.join(page.read_text(encoding='utf-8') for page in PAGES)
     for path in re.findall(r'`((?:test|docs|config|bags|launch|core|effects|settings|cli|ros)/[\w./]+\.\w+)`', text):
         assert (REPOSITORY / path).exists() or (REPOSITORY / 'semiparam_ros' / path).exists(), path
 

@@ -28,7 +28,7 @@ import sys
 import tempfile
 import time
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache
 from pathlib import Path
 from typing import IO
 
@@ -67,6 +67,7 @@ class Block:
         return f'{self.page}:{self.line} ({self.language})'
 
 
+@cache
 def blocks(path: Path) -> list[Block]:
     """The fenced blocks of a page, in order. Commands in an indented block, which no test would see, are refused."""
     found = []
@@ -226,7 +227,7 @@ def check_parses(block: Block, repository: Path) -> None:
             check_command(words[:words.index('--ros-args')] if '--ros-args' in words else words, repository)
 
 
-@lru_cache
+@cache
 def options_of(script: tuple[str, ...]) -> set[str]:
     """Those that the --help of a script or of a module (-m) names."""
     if script[0] == '-m':
@@ -243,7 +244,7 @@ def options_of(script: tuple[str, ...]) -> set[str]:
     return set(re.findall(r'--[a-z-]+', printed.getvalue()))
 
 
-@lru_cache
+@cache
 def look_at_rules(arguments: tuple[str, ...], repository: Path) -> None:
     """`make` knows what to do; the interpreter is given, for which it would look for a second and more."""
     subprocess.run([shutil.which('make') or 'make', '-n', 'PYTHON=python3', *arguments], cwd=repository, check=True,
