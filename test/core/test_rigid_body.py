@@ -102,7 +102,7 @@ def test_a_branch_that_the_sensor_does_not_feel_changes_nothing(neck):
 @pytest.mark.parametrize('neck', ['a_neck', 'z_neck'])
 def test_a_robot_is_as_heavy_as_all_of_its_branches_and_as_long_as_the_longest(neck):
     """Only the first one by name counted, and all of their lengths were one reach."""
-    own = RigidBody.from_urdf(ICUB_OWN.read_text(), ICUB_JOINTS, 'effort')
+    own = icub('effort')
     head = link('head', 0.1, '0 0 0') + joint(neck, 'revolute', 'chest', 'head')
     body = RigidBody.from_urdf(ICUB_OWN.read_text().replace('</robot>', f'{head}</robot>'), (*ICUB_JOINTS, neck),
                                'effort')

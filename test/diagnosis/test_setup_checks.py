@@ -33,7 +33,6 @@ from semiparam_ros.simulation.simulate import simulate
 from support import arms
 from support.arms import (
     ICUB_JOINTS,
-    ICUB_OWN,
     ICUB_SENSOR,
     ODD_BODY,
     ODD_JOINTS,
@@ -411,7 +410,7 @@ def test_stamps_that_repeat_or_jump_do_no_harm():
 @pytest.mark.parametrize('seed', [0, pytest.param(1, marks=pytest.mark.long)])
 def test_fast_motion_at_a_low_rate_is_no_other_robot(outputs, seed):
     """Accelerations that nobody measured make most of the outputs here."""
-    body = RigidBody.from_urdf(ICUB_OWN.read_text(), ICUB_JOINTS, outputs, ICUB_SENSOR if outputs == 'wrench' else None)
+    body = arms.icub(outputs)
     samples = as_recorded(body, smooth_motion(4, 1000, speed=3.0, seed=seed))
     assert setup_problems(body, samples) == []
     opposite = setup_problems(body, replace(samples, outputs=-samples.outputs))

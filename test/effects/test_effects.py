@@ -35,7 +35,7 @@ from semiparam_ros.simulation.causes.forces import PAYLOAD_RADIUS_M
 from semiparam_ros.simulation.scenario import EffectRequest, Scenario
 from semiparam_ros.simulation.simulate import simulate
 from support import arms
-from support.arms import ICUB_JOINTS, ICUB_OWN, ICUB_SENSOR, TWO_ARMS, TWO_ARMS_JOINTS, smooth_motion
+from support.arms import TWO_ARMS, TWO_ARMS_JOINTS, icub, smooth_motion
 from support.effect_cases import BODIES, CASES, MOTION, NAMES
 
 UNITS = {'N', 'm', 'kg', 's', 'rad', 'Hz', 'K', 'or'}
@@ -685,7 +685,7 @@ COLUMNS = {
                                                if issubclass(kind, AtPoint) for outputs in kind.outputs])
 def test_at_a_point_of_a_link_where_another_link_stands_a_kind_does_the_same(kind, outputs):
     """The gripper is fixed to the hand."""
-    body = RigidBody.from_urdf(ICUB_OWN.read_text(), ICUB_JOINTS, outputs, ICUB_SENSOR if outputs == 'wrench' else None)
+    body = icub(outputs)
     hand, gripper = (body.arm.frames[body.arm.getFrameId(name)].placement for name in ('r_hand', 'r_gripper'))
     shift = hand.actInv(gripper.translation)
     assert np.linalg.norm(shift) > 0.01

@@ -4,15 +4,14 @@ import numpy as np
 import pytest
 
 from semiparam_ros.core.robot.frames import load_regressor
-from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.effects import effect_from_text
 from semiparam_ros.export.estimate import from_recording
-from support.arms import ICUB_JOINTS, ICUB_OWN, as_recorded, smooth_motion
+from support.arms import as_recorded, icub, smooth_motion
 
 
 def test_a_load_that_a_slow_arm_picks_up_is_there_from_then_on():
     """What it leaves of the efforts before passed for noise, in which it had 0.16 kg and no time was likelier."""
-    body, motion = RigidBody.from_urdf(ICUB_OWN.read_text(), ICUB_JOINTS, 'effort'), smooth_motion(4, 600, speed=0.1)
+    body, motion = icub('effort'), smooth_motion(4, 600, speed=0.1)
     load = np.array([0.8, 0.02, -0.03, 0.05, 8e-3, 0.0, 8e-3, 0.0, 0.0, 6e-3])
     samples = as_recorded(body, motion)
     samples.outputs[270:] += load_regressor(body, motion, 'r_hand')[270:] @ load
@@ -24,7 +23,7 @@ def test_a_load_that_a_slow_arm_picks_up_is_there_from_then_on():
 @pytest.mark.parametrize('ends', [(150, 390), (240, 390), (0, 300), (120, 270, 420)])
 def test_a_load_is_told_from_others_that_were_put_down_before(ends):
     """Of a tool of 0.9 kg and the next one of 0.5 kg, the export had one of 0.62 kg since the first."""
-    body, motion = RigidBody.from_urdf(ICUB_OWN.read_text(), ICUB_JOINTS, 'effort'), smooth_motion(4, 600)
+    body, motion = icub('effort'), smooth_motion(4, 600)
     samples, keep = as_recorded(body, motion), ends[0] == 0  # from the first sample on it is told by known links alone
     samples.outputs[:] /= 1.15 if keep else 1.0
     for number, (first, last) in enumerate(zip(ends, (*ends[1:], 600), strict=True)):

@@ -57,9 +57,10 @@ TWO_ARMS = '<robot name="two">' + ''.join([
 TWO_ARMS_JOINTS = ('waist', 'a_shoulder', 'a_elbow', 'b_shoulder', 'b_elbow')
 
 
-def icub(**options: object) -> RigidBody:
-    """The four-joint iCub arm of config/ with its wrench sensor."""
-    return RigidBody.from_urdf(ICUB_OWN.read_text(), ICUB_JOINTS, 'wrench', ICUB_SENSOR, **options)  # type: ignore
+def icub(outputs: str = 'wrench', **options: object) -> RigidBody:
+    """The four-joint iCub arm of config/, with its wrench sensor or with efforts."""
+    sensor = ICUB_SENSOR if outputs == 'wrench' else None
+    return RigidBody.from_urdf(ICUB_OWN.read_text(), ICUB_JOINTS, outputs, sensor, **options)  # type: ignore
 
 
 def icub_table(path: Path) -> Samples:
