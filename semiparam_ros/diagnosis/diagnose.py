@@ -43,7 +43,6 @@ from semiparam_ros.diagnosis.residual.aliases import as_recorded
 from semiparam_ros.diagnosis.residual.contacts import Contact, bend, contacts
 from semiparam_ros.diagnosis.residual.noise import noise_floor, with_error_columns, without_error_columns
 from semiparam_ros.diagnosis.residual.structure import Structure, remaining_structure
-from semiparam_ros.diagnosis.search.candidates import identity
 from semiparam_ros.diagnosis.search.plausibility import all_plausible
 from semiparam_ros.diagnosis.search.refit import calibrated, fitted_to_all
 from semiparam_ros.diagnosis.search.revision import with_common_forms
@@ -399,8 +398,7 @@ def _estimated(final: Fit, steps: list[Step], samples: Samples, start: _Start,
     everything = final = as_recorded(final, start.recorded.samples, new)
     if judged_here and (steps or final.effects):
         usable = start.fitting | start.held_out
-        fixed = {identity(effect) for effect in start.first.effects}
-        refit = with_common_forms(fitted_to_all(final, usable, new, start.first.counted), fixed) if steps else \
+        refit = with_common_forms(fitted_to_all(final, usable, new, start.first.counted)) if steps else \
             refit_weights(with_effects(replace(final, train_mask=usable), final.effects))  # calibrations as declared
         everything = refit if all_plausible(final, refit) else final
     return everything, estimates(everything, new, start.inputs.disturbed(samples) if everything.effects else ())

@@ -18,7 +18,7 @@ from semiparam_ros.diagnosis.findings import places_in
 from semiparam_ros.diagnosis.regression import Fit, with_effects
 from semiparam_ros.diagnosis.residual.flexible import StandardisedInputs, explained
 from semiparam_ros.diagnosis.residual.structure import samples_to_look_at
-from semiparam_ros.diagnosis.search.candidates import identity, others
+from semiparam_ros.diagnosis.search.candidates import others
 from semiparam_ros.diagnosis.search.refit import remaining
 from semiparam_ros.diagnosis.search.revision import pruned
 from semiparam_ros.diagnosis.search.score import Gain, coarsened, summed
@@ -49,8 +49,7 @@ def worth_beside_function(fit: Fit) -> list[Gain]:
 def holding(steps: list[Step], kinds: Collection[str]) -> list[Step]:
     """The steps with those effects alone that are worth their prices beside a smooth function."""
     before, kept = steps[0].before, list[Step]()
-    fixed = {identity(effect) for effect in before.effects}
-    final = pruned(steps[-1].after, fixed, kinds, worth_beside_function)
+    final = pruned(steps[-1].after, kinds, worth_beside_function)
     rounds = dict(places_in(final, steps))
     for number, step in enumerate(steps, start=1):
         if number in rounds.values():

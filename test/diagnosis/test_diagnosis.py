@@ -255,10 +255,10 @@ def test_an_effect_that_only_stood_in_for_others_goes(payload):
     fit = payload.final
     load = {(effect.kind, effect.where) for effect in fit.effects}
     needless = declare(fit, [kinds()['sensor_drift']()])
-    kept = pruned(needless, set(), kinds('wrench'))
+    kept = pruned(needless, kinds('wrench'))
     assert {(effect.kind, effect.where) for effect in kept.effects} == load
-    assert pruned(needless, {('sensor_drift', None, None)}, kinds('wrench')) is needless
-    assert pruned(fit, set(), kinds('wrench')) is fit
+    assert pruned(needless, kinds('wrench'), known={('sensor_drift', None, None)}) is needless
+    assert pruned(fit, kinds('wrench')) is fit
 
 
 PAYLOAD = cache(lambda: hidden('payload', start_s=START_S))

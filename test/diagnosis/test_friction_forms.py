@@ -104,7 +104,7 @@ def test_friction_that_leads_is_no_delay_of_the_efforts():
     leading = with_leads(bare)
     assert [effect.value('lead_s') for effect in leading.effects] == pytest.approx([0.01] * 4, abs=5e-4)
     both = declare(leading, [TimeDelay(None, {'delay_s': 0.0})])
-    left = pruned(both, FRICTION, KINDS)
+    left = pruned(both, KINDS, known=FRICTION)
     assert [effect.kind for effect in left.effects] == ['coulomb_friction'] * 4
     assert [effect.value('lead_s') for effect in left.effects] == pytest.approx(
         [effect.value('lead_s') for effect in leading.effects], abs=1e-9)
@@ -118,9 +118,9 @@ def test_friction_with_its_shape_anew_holds_no_impossible_value():
     viscous = [ViscousFriction(joint) for joint in BODY.joints[:2]]
     start = declare(start, viscous)
     assert not viscous[1].physical(start.theta[start.assembly.blocks['5']])
-    leading = without_impossible(with_leads(start), ())
+    leading = without_impossible(with_leads(start))
     assert viscous[1] not in leading.effects
-    assert viscous[1] in without_impossible(start, {('viscous_friction', BODY.joints[1], None)}).effects
+    assert viscous[1] in without_impossible(replace(start, declared=(viscous[1],))).effects
 
 
 def test_friction_turns_over_as_that_of_the_others_where_no_block_tells_how():
@@ -130,7 +130,7 @@ def test_friction_turns_over_as_that_of_the_others_where_no_block_tells_how():
     forms = {joint: {'turn_speed': TURN} for joint in BODY.joints} | {'turn': {'presliding': 0.1}}
     start = declare(starting_fit(BODY, samples, [], fast), [CoulombFriction(*form) for form in forms.items()])
     error, chance = (np.mean((fit.residual[~fast, 1] / samples.outputs[:, 1].std())**2)
-                     for fit in (with_common_forms(with_leads(start), ()), with_leads(start)))
+                     for fit in (with_common_forms(with_leads(start)), with_leads(start)))
     assert error < 0.01 < chance
 
 
@@ -138,7 +138,7 @@ def test_friction_of_another_form_stays_where_blocks_tell_it():
     samples = rubbing()
     own = 3.0 * (np.tanh(samples.velocity[:, 1] / (20.0 * TURN)) - np.tanh(samples.velocity[:, 1] / TURN))
     start = fitted(replace(samples, outputs=samples.outputs + np.outer(own, np.arange(4) == 1)))
-    shapes = {effect.where: effect.value('turn_speed') for effect in with_common_forms(with_leads(start), ()).effects}
+    shapes = {effect.where: effect.value('turn_speed') for effect in with_common_forms(with_leads(start)).effects}
     assert shapes.pop('turn') == pytest.approx(20.0 * TURN, rel=0.05)
     assert list(shapes.values()) == pytest.approx([TURN] * 3, rel=0.1)
 
@@ -154,7 +154,7 @@ def test_a_joint_that_goes_one_way_rubs_as_the_others_do():
     samples = rubbing()
     one_way = samples.velocity[:, 1] > 0.3 * samples.velocity[:, 1].max()
     start = with_an_offset(samples, one_way)
-    fit = with_usual(start, (), KINDS)
+    fit = with_usual(start, KINDS)
     assert {(effect.kind, effect.where) for effect in fit.effects} == {place[:2] for place in FRICTION}
     back = samples.velocity[:, 1] < -TURN
     error, before = (np.mean((each.residual[back, 1] / samples.outputs[:, 1].std())**2) for each in (fit, start))
@@ -167,7 +167,7 @@ def test_an_offset_stays_where_motion_both_ways_tells_it_from_friction(rubs):
     samples = rubbing()
     own = 3.0 * (1.0 - rubs * np.tanh(samples.velocity[:, 1] / TURN))
     start = with_an_offset(replace(samples, outputs=samples.outputs + np.outer(own, np.arange(4) == 1)), EVERYTHING)
-    assert with_usual(start, (), KINDS) is start
+    assert with_usual(start, KINDS) is start
 
 
 LIFT = RigidBody.from_urdf('<robot name="gantry">' + ''.join([
@@ -185,7 +185,7 @@ def test_what_leaves_the_description_as_it_is_comes_before_an_offset(rotor, offs
     exact[:, 1] += rotor * motion.acceleration[:, 1] + offset
     samples = replace(motion, outputs=noisy(exact, 0.01, seed=1), whole=True)
     start = declare(starting_fit(LIFT, samples, [], EVERYTHING), [EffortOffset('lift')])
-    fit = with_usual(start, (), KINDS)
+    fit = with_usual(start, KINDS)
     assert [(effect.kind, effect.where) for effect in fit.effects] == [(told, 'lift')]
     assert fit.theta[-1] == pytest.approx(rotor + offset, rel=0.05)
 
@@ -201,7 +201,7 @@ def test_what_is_not_worth_its_price_takes_no_place(monkeypatch):
     bare = starting_fit(LIFT, samples, [], EVERYTHING)
     ripple = coarse_trial(bare, KINDS['transmission_ripple'], 'lift').effect
     fit = declare(bare, [ripple])
-    assert with_usual(fit, (), KINDS) is fit
+    assert with_usual(fit, KINDS) is fit
 
 
 def test_what_the_other_joints_have_comes_as_easily_as_it_stays():
@@ -331,7 +331,7 @@ def test_friction_and_rotors_that_hide_each_other_are_tried_together_without_ano
     exact[:, 2] += exact[:, 2].std() * (0.3 * motion.velocity[:, 2] + 0.3 * motion.acceleration[:, 2])
     noise = 0.01 * exact.std(axis=0) * np.random.default_rng(1).standard_normal(exact.shape)
     fit = starting_fit(BODY, replace(motion, outputs=exact + noise, whole=True), [], np.ones(600, dtype=bool))
-    (move,) = hidden_moves(fit, [], [], {kind: KINDS[kind] for kind in ('viscous_friction', 'rotor_inertia')},
+    (move,) = hidden_moves(fit, [], {kind: KINDS[kind] for kind in ('viscous_friction', 'rotor_inertia')},
                            lambda words, share: None)
     assert move.good
     assert {(effect.kind, effect.where) for effect in move.added} == {

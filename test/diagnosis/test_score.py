@@ -143,7 +143,7 @@ def test_an_effect_that_is_there_gains_and_one_that_is_not_costs():
     both = fitted(rubbing, [true, other])
     first, second = worth(both)
     assert first.total > 100.0 and second.total < 5.0
-    assert [effect.kind for effect in pruned(both, (), KINDS).effects] == ['viscous_friction']
+    assert [effect.kind for effect in pruned(both, KINDS).effects] == ['viscous_friction']
 
 
 def test_a_point_of_application_costs_what_its_coordinates_tell():

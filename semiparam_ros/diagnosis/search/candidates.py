@@ -32,6 +32,11 @@ def identity(effect: Effect) -> Place:
     return effect.kind, effect.where, effect.start_s if effect.must_start else None
 
 
+def fixed(fit: Fit) -> set[Place]:
+    """Keys of the effects that were declared, which stay whatever a search finds."""
+    return {identity(effect) for effect in fit.declared}
+
+
 def held(effects: Sequence[Effect]) -> set[tuple[str, str | None]]:
     """Keys of what these effects hold already, as such or as a part of another one, and a model cannot hold twice."""
     return {(part.kind, part.where) for effect in effects if not effect.must_start

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from semiparam_ros.diagnosis.data.recordings import breaks_s
 from semiparam_ros.diagnosis.regression import Fit, with_effects
-from semiparam_ros.diagnosis.search.candidates import Place, added_columns, candidates, identity, others
+from semiparam_ros.diagnosis.search.candidates import added_columns, candidates, fixed, identity, others
 from semiparam_ros.diagnosis.search.plausibility import (
     all_plausible,
     needed_errors,
@@ -129,7 +129,7 @@ def swapping_moves(fit: Fit, pairs: Sequence[tuple[Effect, Effect]], kinds: Coll
     return moves
 
 
-def group_moves(fit: Fit, trials: Sequence[Trial], fixed: Collection[Place], kinds: Collection[str]) -> list[Move]:
+def group_moves(fit: Fit, trials: Sequence[Trial], kinds: Collection[str]) -> list[Move]:
     """Kinds at all their places at once: what one joint lacks bends the rigid body's fit of the others."""
     groups: dict[str, list[Effect]] = {}
     for trial in trials:
@@ -140,16 +140,16 @@ def group_moves(fit: Fit, trials: Sequence[Trial], fixed: Collection[Place], kin
     for effects in groups.values():
         effects.sort(key=lambda effect: (order.index(effect.kind), effect.places(fit.body).index(effect.where)))
         if len(effects) > 1:
-            after = without_impossible(declare(fit, effects), fixed)
+            after = without_impossible(declare(fit, effects))
             after = reshaped(after, known, kinds) if any(effect.searched for effect in effects) else after
-            after = pruned(after, {*fixed, *known}, kinds)
+            after = pruned(after, kinds, known=known)
             added = tuple(effect for effect in after.effects if identity(effect) not in known)
             if added:
                 moves.append(Move.of(added, fit, after, prices(added, fit, kinds)))
     return moves
 
 
-def hidden_moves(fit: Fit, trials: Sequence[Trial], fixed: Collection[Place], kinds: dict[str, type[Effect]],
+def hidden_moves(fit: Fit, trials: Sequence[Trial], kinds: dict[str, type[Effect]],
                  report: Progress) -> list[Move]:
     """The best move that gives joints their friction and rotors, and one more cause there, at once.
 
@@ -168,13 +168,13 @@ def hidden_moves(fit: Fit, trials: Sequence[Trial], fixed: Collection[Place], ki
     pool = [(kind, where) for kind, where in candidates(beside, kinds) if where in joints]
     ranking = refine_foremost(beside, coarse(beside, pool, report))
     good = [move for move in single_moves(beside, ranking, kinds) if move.good]
-    after = without_impossible(max(good, key=lambda move: move.net).after if good else beside, fixed)
-    after = pruned(reshaped(after, known, kinds), {*fixed, *known}, kinds)
+    after = without_impossible(max(good, key=lambda move: move.net).after if good else beside)
+    after = pruned(reshaped(after, known, kinds), kinds, known=known)
     added = [effect for effect in after.effects if identity(effect) not in known]
     return _plausible_moves(fit, after, added, kinds) if added else []
 
 
-def moving_moves(fit: Fit, fixed: Collection[Place], kinds: dict[str, type[Effect]]) -> list[Move]:
+def moving_moves(fit: Fit, kinds: dict[str, type[Effect]]) -> list[Move]:
     """Calibrations that move what the effects depend on, each with all forms of these searched anew beside it.
 
     Efforts that come late make dry friction seem to bend before it slides: each of the two hides the other.
@@ -184,8 +184,8 @@ def moving_moves(fit: Fit, fixed: Collection[Place], kinds: dict[str, type[Effec
     for kind in kinds.values():
         if formed and kind.moves_friction and kind.kind not in known and None in kind.places(fit.body):
             nothing = kind(None, {coefficient.name: 0.0 for coefficient in kind.calibrations})
-            after = declare(formed_anew(declare(fit, [nothing]), fixed), [])
-            after = reshaped(without_impossible(after, fixed), fixed, kinds)
+            after = declare(formed_anew(declare(fit, [nothing])), [])
+            after = reshaped(without_impossible(after), fixed(fit), kinds)
             added = next(effect for effect in after.effects if effect.kind == kind.kind)
             moves += _plausible_moves(fit, after, [added], kinds)
     return moves

@@ -12,7 +12,7 @@ from semiparam_ros.core.robot.consistency import pseudo_inertia
 from semiparam_ros.core.types import Array
 from semiparam_ros.diagnosis.data.recordings import breaks_s
 from semiparam_ros.diagnosis.regression import Fit, with_effects
-from semiparam_ros.diagnosis.search.candidates import Place, identity
+from semiparam_ros.diagnosis.search.candidates import fixed, identity
 from semiparam_ros.diagnosis.search.refit import declare
 from semiparam_ros.effects import Effect
 from semiparam_ros.effects.base import ALWAYS
@@ -26,14 +26,11 @@ def all_plausible(before: Fit, after: Fit) -> bool:
                for index, effect in enumerate(after.effects))
 
 
-def without_impossible(fit: Fit, declared: Collection[Place]) -> Fit:
-    """The model without effects whose coefficients their causes cannot have.
-
-    :param declared: kinds and places that stay all the same.
-    """
+def without_impossible(fit: Fit) -> Fit:
+    """The model without effects whose coefficients their causes cannot have, but for those that were declared."""
     while True:
         blocks = fit.assembly.blocks
-        kept = [effect for index, effect in enumerate(fit.effects) if identity(effect) in declared
+        kept = [effect for index, effect in enumerate(fit.effects) if identity(effect) in fixed(fit)
                 or effect.is_calibration or effect.physical(fit.theta[blocks[str(index)]])]
         if len(kept) == len(fit.effects):
             return fit

@@ -8,7 +8,7 @@ from collections.abc import Callable, Collection, Sequence
 import numpy as np
 
 from semiparam_ros.diagnosis.regression import Fit, with_effects
-from semiparam_ros.diagnosis.search.candidates import Place, added_columns, held, identity, others
+from semiparam_ros.diagnosis.search.candidates import Place, added_columns, fixed, held, identity, others
 from semiparam_ros.diagnosis.search.plausibility import all_plausible, needed_errors, price, prices, usual
 from semiparam_ros.diagnosis.search.refit import calibrated, declare, remaining, settled, told_by_sliding
 from semiparam_ros.diagnosis.search.score import Gain, gain, gain_of_values, repetition, unlikely, worth
@@ -51,19 +51,19 @@ def _opened(fit: Fit, numbers: Collection[int]) -> Fit:
     return with_effects(fit, effects)
 
 
-def reshaped(fit: Fit, fixed: Collection[Place], kinds: Collection[str]) -> Fit:
-    """:func:`bent` of all effects that were found."""
-    return bent(fit, {identity(effect) for effect in fit.effects}.difference(fixed), kinds)
+def reshaped(fit: Fit, kept: Collection[Place], kinds: Collection[str]) -> Fit:
+    """:func:`bent` of all effects but those that are ``kept``."""
+    return bent(fit, {identity(effect) for effect in fit.effects}.difference(kept), kinds)
 
 
-def with_common_forms(fit: Fit, fixed: Collection[Place]) -> Fit:
+def with_common_forms(fit: Fit) -> Fit:
     """The model with one form for all places of a kind, but where the blocks of a place tell another one.
 
     A joint that was always fast tells nothing of how its friction turns over. Its own form would be chance, and wrong
     wherever the joint is slow.
     """
     found = [effect for effect in fit.effects if effect.group and effect.searched and not effect.span.values
-             and identity(effect) not in fixed]
+             and identity(effect) not in fixed(fit)]
     for kind in dict.fromkeys(type(effect) for effect in found):
         alike = [effect for effect in found if type(effect) is kind]
         forms = [kind.searches(fit.body, fit.samples, effect.where, fit.residual) for effect in alike]
@@ -79,7 +79,7 @@ def with_common_forms(fit: Fit, fixed: Collection[Place]) -> Fit:
     return fit
 
 
-def with_usual(fit: Fit, fixed: Collection[Place], kinds: dict[str, type[Effect]]) -> Fit:
+def with_usual(fit: Fit, kinds: dict[str, type[Effect]]) -> Fit:
     """The model with what joints commonly have in place of a rarer cause that no block tells from it.
 
     What half of the joints have has to lose by more than its odds: a joint that goes one way shows no offset from its
@@ -87,7 +87,7 @@ def with_usual(fit: Fit, fixed: Collection[Place], kinds: dict[str, type[Effect]
     an offset of a lift makes up for a rotor that was taken for eight kilograms more of its link.
     """
     rare = [effect for effect in fit.effects if effect.where is not None and not effect.is_calibration
-            and identity(effect) not in fixed and not usual(effect, others(fit, effect), fit)]
+            and identity(effect) not in fixed(fit) and not usual(effect, others(fit, effect), fit)]
     for effect in rare:
         rest = with_effects(fit, others(fit, effect))
         for kind in kinds.values():
@@ -98,7 +98,7 @@ def with_usual(fit: Fit, fixed: Collection[Place], kinds: dict[str, type[Effect]
             if trial is not None:
                 after = bent(declare(rest, [trial.effect]), [identity(trial.effect)], kinds)
                 if _likelier_beforehand(rest, fit, effect, after, trial.effect, kinds) and all_plausible(fit, after):
-                    after = pruned(after, fixed, kinds)
+                    after = pruned(after, kinds)
                     if (kind.kind, effect.where) in held(after.effects):  # else the rarer one would come again
                         return after
     return fit
@@ -121,12 +121,11 @@ def _losses(fit: Fit, effect: Effect, forms: Sequence[Values]) -> list[float]:
     return [rest.explain(added_columns(rest, other)).loss for other in formed]
 
 
-def formed_anew(fit: Fit, fixed: Collection[Place]) -> Fit:
+def formed_anew(fit: Fit) -> Fit:
     """The model with each effect that was found at the best of its coarse forms beside all the others."""
     after = fit
     for effect in fit.effects:
-        if identity(effect) in fixed or effect.is_calibration or effect.span.values \
-                or not effect.searched:
+        if identity(effect) in fixed(fit) or effect.is_calibration or effect.span.values or not effect.searched:
             continue
         without = with_effects(after, others(after, effect))
         trial = coarse_trial(without, type(effect), effect.where)
@@ -175,32 +174,33 @@ def _with_other_values(fit: Fit, effect: Effect, kinds: Collection[str]) -> tupl
     return after, gain_of_values(before, there), cost
 
 
-def other_forms(fit: Fit, after: Fit, fixed: Collection[Place], kinds: Collection[str]) -> tuple[Effect, ...]:
+def other_forms(fit: Fit, after: Fit, kinds: Collection[str]) -> tuple[Effect, ...]:
     """The declared effects that the second model holds with other nonlinear values, where that gains more than it would
     cost to add them."""
-    changed = [effect for effect in after.effects if identity(effect) in fixed and effect not in fit.effects
+    changed = [effect for effect in after.effects if identity(effect) in fixed(fit) and effect not in fit.effects
                and not effect.is_calibration]
     cost = sum(price(effect, others(fit, effect), fit, kinds) for effect in changed)
     return tuple(changed) if changed and gain(fit, after).exceeds(cost, fit.config.sure) else ()
 
 
-def pruned(fit: Fit, fixed: Collection[Place], kinds: Collection[str],
-           worth: Callable[[Fit], list[Gain]] = worth) -> Fit:
-    """The model without the effects that the others make needless, the weakest first; ``worth`` is that of each.
+def pruned(fit: Fit, kinds: Collection[str], worth: Callable[[Fit], list[Gain]] = worth,
+           known: Collection[Place] = ()) -> Fit:
+    """The model without the effects that the others make needless, the weakest first; ``worth`` is that of each. Those
+    that were declared stay, and those that are ``known``.
 
     Those that nothing speaks for go at once, but of two loads at one place one: each makes the other needless.
     """
+    kept = fixed(fit).union(known)
     while True:
         weak = []
         for number, (effect, each) in enumerate(zip(fit.effects, worth(fit), strict=True)):
             rest = others(fit, effect)
             cost, errors = price(effect, rest, fit, kinds), needed_errors(effect, rest, fit)
-            if identity(effect) not in fixed and not each.exceeds(cost, errors):
+            if identity(effect) not in kept and not each.exceeds(cost, errors):
                 weak.append((each.total, number))
         if not weak:
             return fit
         worthless = {(fit.effects[number].kind, fit.effects[number].where): number
                      for total, number in sorted(weak, reverse=True) if total < 0.0}
         gone = set(worthless.values()) or {min(weak)[1]}
-        kept = [effect for number, effect in enumerate(fit.effects) if number not in gone]
-        fit = remaining(fit, kept)
+        fit = remaining(fit, [effect for number, effect in enumerate(fit.effects) if number not in gone])

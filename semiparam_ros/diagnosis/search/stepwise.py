@@ -16,7 +16,7 @@ from semiparam_ros.core.samples import Samples
 from semiparam_ros.core.types import Mask
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
 from semiparam_ros.diagnosis.regression import Fit, fit_model, refit_weights
-from semiparam_ros.diagnosis.search.candidates import Place, candidates, identity
+from semiparam_ros.diagnosis.search.candidates import candidates, fixed, identity
 from semiparam_ros.diagnosis.search.moves import (
     Move,
     ending_moves,
@@ -82,15 +82,14 @@ def search(fit: Fit, kinds: dict[str, type[Effect]], progress: Progress = lambda
 
     :param hopeless: of a model with one more effect, whether to stop there.
     """
-    fixed = {identity(effect) for effect in fit.effects}
     steps: list[Step] = []
     for _ in range(fit.config.most_rounds):
-        step = _next_step(fit, kinds, fixed, steps, partial(_report, progress, len(steps) + 1))
+        step = _next_step(fit, kinds, steps, partial(_report, progress, len(steps) + 1))
         if step is None:
-            shaped = reshaped(fit, fixed, kinds) if steps else fit
+            shaped = reshaped(fit, fixed(fit), kinds) if steps else fit
             if shaped is fit:
                 break
-            before, fit = fit, pruned(shaped, fixed, kinds)
+            before, fit = fit, pruned(shaped, kinds)
             steps[-1] = replace(steps[-1], after=fit)
             if len(fit.effects) == len(before.effects) and not _worth_a_round(before, fit):
                 break
@@ -103,7 +102,7 @@ def search(fit: Fit, kinds: dict[str, type[Effect]], progress: Progress = lambda
         steps.append(replace(step, ranking=tuple(replace(trial, residual=None) for trial in step.ranking)))
         if hopeless(fit):
             break
-    return [*steps[:-1], *(replace(step, after=with_common_forms(fit, fixed)) for step in steps[-1:])]
+    return [*steps[:-1], *(replace(step, after=with_common_forms(fit)) for step in steps[-1:])]
 
 
 def _rivalries(fit: Fit, steps: Sequence[Step]) -> list[tuple[Effect, Effect]]:
@@ -116,8 +115,7 @@ def _rivalries(fit: Fit, steps: Sequence[Step]) -> list[tuple[Effect, Effect]]:
     return pairs
 
 
-def _next_step(fit: Fit, kinds: dict[str, type[Effect]], fixed: Collection[Place], steps: Sequence[Step],
-               report: Progress) -> Step | None:
+def _next_step(fit: Fit, kinds: dict[str, type[Effect]], steps: Sequence[Step], report: Progress) -> Step | None:
     """The best move that comes to something, and what it makes needless.
 
     What moves in time bends what was just found at many places, so it is tried beside other forms of what is known
@@ -125,23 +123,23 @@ def _next_step(fit: Fit, kinds: dict[str, type[Effect]], fixed: Collection[Place
     """
     trials = coarse(fit, candidates(fit, kinds), report)
     ranking = refine_foremost(fit, trials)
-    moves = [*single_moves(fit, ranking, kinds), *group_moves(fit, trials, fixed, kinds), *ending_moves(fit),
+    moves = [*single_moves(fit, ranking, kinds), *group_moves(fit, trials, kinds), *ending_moves(fit),
              *repeated_moves(fit, ranking, kinds), *swapping_moves(fit, _rivalries(fit, steps), kinds)]
     if (steps and len(steps[-1].added) > 1) or not any(move.good for move in moves):
-        moves += moving_moves(fit, fixed, kinds)
-    made = partial(_first_made, fit, ranking, fixed, kinds, steps, report)
-    return made(moves) or made(hidden_moves(fit, trials, fixed, kinds, report)) or \
-        _changed(fit, with_usual(fit, fixed, kinds), ranking) or (
+        moves += moving_moves(fit, kinds)
+    made = partial(_first_made, fit, ranking, kinds, steps, report)
+    return made(moves) or made(hidden_moves(fit, trials, kinds, report)) or \
+        _changed(fit, with_usual(fit, kinds), ranking) or (
             None if steps else _revalued(fit, kinds, ranking))
 
 
-def _first_made(fit: Fit, ranking: Sequence[Trial], fixed: Collection[Place], kinds: Collection[str],
-                steps: Sequence[Step], report: Progress, moves: Sequence[Move]) -> Step | None:
+def _first_made(fit: Fit, ranking: Sequence[Trial], kinds: Collection[str], steps: Sequence[Step], report: Progress,
+                moves: Sequence[Move]) -> Step | None:
     """The step of the best of the good moves that comes to something."""
     good = [move for move in moves if move.good]
     while good:
         best = simplest(good)
-        step = _made(fit, best, moves, ranking, fixed, kinds)
+        step = _made(fit, best, moves, ranking, kinds)
         if step.added:
             report(f'found {", ".join(place(effect.kind, effect.where) for effect in step.added)}', 1.0)
         if step.added or (steps and _worth_a_round(fit, step.after)):
@@ -172,17 +170,16 @@ def _changed(fit: Fit, after: Fit, ranking: Sequence[Trial]) -> Step | None:
         if added or dropped else None
 
 
-def _made(fit: Fit, best: Move, moves: Sequence[Move], ranking: Sequence[Trial], fixed: Collection[Place],
-          kinds: Collection[str]) -> Step:
+def _made(fit: Fit, best: Move, moves: Sequence[Move], ranking: Sequence[Trial], kinds: Collection[str]) -> Step:
     """The step that a move is, with what was added at its best and what it makes needless taken off. Where that is what
     was declared, in another form, it adds that; where it is what was found, nothing."""
     added = [identity(effect) for effect in best.added]
     after = without_divided(bent(best.after, added, kinds))
-    after = pruned(split(after, added, kinds), fixed, kinds)
+    after = pruned(split(after, added, kinds), kinds)
     before = {(identity(effect), effect.end_s) for effect in fit.effects}
     names = {identity(effect) for effect in after.effects}
     found = tuple(effect for effect in after.effects if (identity(effect), effect.end_s) not in before) \
-        or other_forms(fit, after, fixed, kinds)
+        or other_forms(fit, after, kinds)
     alone = len(found) == 1 == len(best.added)
     if alone:  # a load may have moved to the link nearest to its centre
         ranking = [replace(trial, effect=found[0]) if identity(trial.effect) == added[0] else trial
