@@ -276,14 +276,14 @@ def _diagnosed(body: RigidBody, samples: Samples, effects: Sequence[Effect], tra
                     touched=touched)
     names = tuple(names) or tuple(str(number) for number in range(1, len(samples.recordings) + 1))
     effects = [effect.in_recording(samples.origin) for effect in effects] + own_offsets(body, samples)
-    suspected = _suspected(body, samples, effects, config, touched)
+    suspected, chosen = _suspected(body, samples, effects, config, touched), considered(body, only)
     try:
-        start = _first_model(body, samples, effects, train_mask, other, config, touched)
+        start = _first_model(body, samples, effects, train_mask, other, config, touched, chosen)
     except SemiparamError as error:
         clock = [problem.sentence for problem in suspected if problem.what == 'clock']  # leaves no time to look at
         raise SemiparamError(clock[0] if clock else str(error)) from error
     samples, config = start.recorded.samples, start.first.config
-    steps, setup, imitated = _searched(start, samples, considered(body, only), suspected, progress, bool(only))
+    steps, setup, imitated = _searched(start, samples, suspected, progress, bool(only))
     *models, final = [start.first, *(step.after for step in steps)]
     faster = fast_enough(final, samples, start.inputs)
     if faster != config:  # what was found had hidden it
@@ -334,7 +334,8 @@ class _Start(NamedTuple):
 @_solved()
 def _first_model(body: RigidBody, samples: Samples, effects: Sequence[Effect],
                  train_mask: Mask | None, other: tuple[str, Samples] | None,
-                 config: DiagnosisConfig, touched: Sequence[tuple[float, float]]) -> _Start:
+                 config: DiagnosisConfig, touched: Sequence[tuple[float, float]],
+                 considered: dict[str, type[Effect]]) -> _Start:
     given, kept = samples, in_whole_groups(samples, working_factor(samples, config))
     samples = whole_groups(samples, working_factor(samples, config))
     require_enough(config, np.ones(len(samples) // working_factor(samples, config), dtype=bool), of=given)
@@ -346,11 +347,11 @@ def _first_model(body: RigidBody, samples: Samples, effects: Sequence[Effect],
     inputs, chosen, valid, counted = prepared(body, samples, effects, may_fit, config, clean=clean)
     fitting, held_out = valid & inputs.mask(may_fit), valid & ~inputs.mask(may_fit)
     require_enough(config, fitting, held_out if other is None else fitting, of=given)
-    first = starting_fit(body, chosen, effects, fitting, config, counted)
+    first = starting_fit(body, chosen, effects, fitting, config, counted, considered)
     unvalued = [effect for effect in first.effects if effect.is_calibration and not effect.parameters]
     faster = fast_enough(first, samples, inputs)
     if faster != config:
-        return _first_model(body, given, effects, train_mask, other, faster, touched)
+        return _first_model(body, given, effects, train_mask, other, faster, touched, considered)
     recorded, elsewhere = Recorded(samples, clean & may_fit, samples, clean & ~may_fit, kept), None
     if other is not None:
         recorded = Recorded(samples, clean & may_fit, other[1], ~excluded(other[1], config))
@@ -404,8 +405,8 @@ def _estimated(final: Fit, steps: list[Step], samples: Samples, start: _Start,
     return everything, estimates(everything, new, start.inputs.disturbed(samples) if everything.effects else ())
 
 
-def _searched(start: _Start, samples: Samples, considered: dict[str, type[Effect]], suspected: list[SetupProblem],
-              progress: Progress, some_kinds: bool) -> tuple[list[Step], list[SetupProblem], bool]:
+def _searched(start: _Start, samples: Samples, suspected: list[SetupProblem], progress: Progress,
+              some_kinds: bool) -> tuple[list[Step], list[SetupProblem], bool]:
     """The steps of the search, what stays suspected of the setup, and whether effects only imitate something else, and
     were taken back but those that hold beside it; of ``some_kinds`` alone nobody asks that.
 
@@ -419,14 +420,14 @@ def _searched(start: _Start, samples: Samples, considered: dict[str, type[Effect
     if any(problem.what != NO_MATCH for problem in suspected):
         return [], suspected, False
     first = start.first if start.inputs.measured_accelerations else with_error_columns(start.first)
-    steps = search(first, considered, progress, lambda fit: (bool(suspected) and _unlike(fit)) or too_slow(fit))
+    steps = search(first, progress, lambda fit: (bool(suspected) and _unlike(fit)) or too_slow(fit))
     if suspected and (not steps or _unlike(steps[-1].after)):
         return [], suspected, False
     steps = _on_the_motion(steps)
     if steps and too_slow(steps[-1].after):
         return steps, [], False
     imitated = bool(steps) and not some_kinds and function_explains_more(start.first, steps[-1].after)
-    return (holding(steps, considered) if imitated else steps), [], imitated
+    return (holding(steps) if imitated else steps), [], imitated
 
 
 def _on_the_motion(steps: list[Step]) -> list[Step]:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import Any, NamedTuple
 
@@ -19,7 +19,7 @@ from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
 from semiparam_ros.diagnosis.data.outliers import sliding
 from semiparam_ros.diagnosis.data.splits import correlation_times
 from semiparam_ros.diagnosis.design import Design, Part, PartInUse, SamplesInUse, flat
-from semiparam_ros.effects import Effect
+from semiparam_ros.effects import Effect, kinds
 
 LARGE = ('corrected', 'samples_in_use', 'design', 'residual_in_use', 'asked', 'sums', 'sliding')
 """What a fit computes when it is asked for: far more than the rest of it, where samples are many."""
@@ -85,6 +85,7 @@ class Fit:
     :param train_mask: (N,) samples that fit. :param counted: (N, n) outputs that tell something, in use or not.
     :param scale: (n,) weight of channel k is 1 / scale[k]^2. :param theta: (p,).
     :param residual: (N, n) of all samples, in the outputs' units. :param declared: the effects as they were declared.
+    :param considered: the kinds of effects among which a search chooses, by name.
     :param nuisance: (N, n, k) further columns, the last ones of C, that stand for no effect: what errors of the inputs
         may do. Their coefficients have a standard deviation of 1; None where there are none.
     """
@@ -100,6 +101,7 @@ class Fit:
     config: DiagnosisConfig = DEFAULTS
     nuisance: Array | None = None
     declared: tuple[Effect, ...] = ()
+    considered: Mapping[str, type[Effect]] = field(default_factory=dict)
 
     @cached_property
     def assembly(self) -> CoupledColumns:
@@ -323,16 +325,18 @@ class Fit:
 
 
 def fit_model(body: RigidBody, samples: Samples, effects: Sequence[Effect], train_mask: Mask, scale: Array,
-              config: DiagnosisConfig = DEFAULTS, counted: Mask | None = None) -> Fit:
+              config: DiagnosisConfig = DEFAULTS, counted: Mask | None = None,
+              considered: Mapping[str, type[Effect]] | None = None) -> Fit:
     """Fit the rigid body, the offset and the effects by least squares, with a weak prior about the description.
 
     :param counted: (N, n) outputs that tell something; all unless given, and of a joint that hardly moves in the
         samples that fit.
+    :param considered: the kinds among which a search chooses; all of such outputs unless given.
     """
     counted = np.ones(samples.outputs.shape, dtype=bool) if counted is None else counted
     counted = counted | (counted[train_mask].sum(axis=0) < config.least_working_samples)
     unfitted = Fit(body, samples, tuple(effects), train_mask, counted, scale, np.zeros(0), samples.outputs, config,
-                   declared=tuple(effects))
+                   declared=tuple(effects), considered=kinds(body.outputs) if considered is None else considered)
     return reweighted(unfitted, scale)
 
 

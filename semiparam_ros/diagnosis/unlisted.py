@@ -7,7 +7,7 @@ an effect stays that is worth its price beside such a function: what it only res
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -46,10 +46,10 @@ def worth_beside_function(fit: Fit) -> list[Gain]:
     return [summed(block_sums((each**2 - left**2) / doubled, config.blocks).sum(axis=1)) for each in without]
 
 
-def holding(steps: list[Step], kinds: Collection[str]) -> list[Step]:
+def holding(steps: list[Step]) -> list[Step]:
     """The steps with those effects alone that are worth their prices beside a smooth function."""
     before, kept = steps[0].before, list[Step]()
-    final = pruned(steps[-1].after, kinds, worth_beside_function)
+    final = pruned(steps[-1].after, worth_beside_function)
     rounds = dict(places_in(final, steps))
     for number, step in enumerate(steps, start=1):
         if number in rounds.values():

@@ -50,7 +50,7 @@ def fitted(samples, delay_s=None, lead_s=None, turn_speed=TURN):
 
 
 def with_leads(fit):
-    return bent(fit, FRICTION, KINDS)
+    return bent(fit, FRICTION)
 
 
 def test_a_working_sample_holds_the_mean_of_the_friction_within_it():
@@ -104,7 +104,7 @@ def test_friction_that_leads_is_no_delay_of_the_efforts():
     leading = with_leads(bare)
     assert [effect.value('lead_s') for effect in leading.effects] == pytest.approx([0.01] * 4, abs=5e-4)
     both = declare(leading, [TimeDelay(None, {'delay_s': 0.0})])
-    left = pruned(both, KINDS, known=FRICTION)
+    left = pruned(both, known=FRICTION)
     assert [effect.kind for effect in left.effects] == ['coulomb_friction'] * 4
     assert [effect.value('lead_s') for effect in left.effects] == pytest.approx(
         [effect.value('lead_s') for effect in leading.effects], abs=1e-9)
@@ -154,7 +154,7 @@ def test_a_joint_that_goes_one_way_rubs_as_the_others_do():
     samples = rubbing()
     one_way = samples.velocity[:, 1] > 0.3 * samples.velocity[:, 1].max()
     start = with_an_offset(samples, one_way)
-    fit = with_usual(start, KINDS)
+    fit = with_usual(start)
     assert {(effect.kind, effect.where) for effect in fit.effects} == {place[:2] for place in FRICTION}
     back = samples.velocity[:, 1] < -TURN
     error, before = (np.mean((each.residual[back, 1] / samples.outputs[:, 1].std())**2) for each in (fit, start))
@@ -167,7 +167,7 @@ def test_an_offset_stays_where_motion_both_ways_tells_it_from_friction(rubs):
     samples = rubbing()
     own = 3.0 * (1.0 - rubs * np.tanh(samples.velocity[:, 1] / TURN))
     start = with_an_offset(replace(samples, outputs=samples.outputs + np.outer(own, np.arange(4) == 1)), EVERYTHING)
-    assert with_usual(start, KINDS) is start
+    assert with_usual(start) is start
 
 
 LIFT = RigidBody.from_urdf('<robot name="gantry">' + ''.join([
@@ -185,7 +185,7 @@ def test_what_leaves_the_description_as_it_is_comes_before_an_offset(rotor, offs
     exact[:, 1] += rotor * motion.acceleration[:, 1] + offset
     samples = replace(motion, outputs=noisy(exact, 0.01, seed=1), whole=True)
     start = declare(starting_fit(LIFT, samples, [], EVERYTHING), [EffortOffset('lift')])
-    fit = with_usual(start, KINDS)
+    fit = with_usual(start)
     assert [(effect.kind, effect.where) for effect in fit.effects] == [(told, 'lift')]
     assert fit.theta[-1] == pytest.approx(rotor + offset, rel=0.05)
 
@@ -201,7 +201,7 @@ def test_what_is_not_worth_its_price_takes_no_place(monkeypatch):
     bare = starting_fit(LIFT, samples, [], EVERYTHING)
     ripple = coarse_trial(bare, KINDS['transmission_ripple'], 'lift').effect
     fit = declare(bare, [ripple])
-    assert with_usual(fit, KINDS) is fit
+    assert with_usual(fit) is fit
 
 
 def test_what_the_other_joints_have_comes_as_easily_as_it_stays():
@@ -330,9 +330,9 @@ def test_friction_and_rotors_that_hide_each_other_are_tried_together_without_ano
     exact = BODY.regressors(motion) @ BODY.base_parameters
     exact[:, 2] += exact[:, 2].std() * (0.3 * motion.velocity[:, 2] + 0.3 * motion.acceleration[:, 2])
     noise = 0.01 * exact.std(axis=0) * np.random.default_rng(1).standard_normal(exact.shape)
-    fit = starting_fit(BODY, replace(motion, outputs=exact + noise, whole=True), [], np.ones(600, dtype=bool))
-    (move,) = hidden_moves(fit, [], {kind: KINDS[kind] for kind in ('viscous_friction', 'rotor_inertia')},
-                           lambda words, share: None)
+    fit = starting_fit(BODY, replace(motion, outputs=exact + noise, whole=True), [], np.ones(600, dtype=bool),
+                       considered={kind: KINDS[kind] for kind in ('viscous_friction', 'rotor_inertia')})
+    (move,) = hidden_moves(fit, [], lambda words, share: None)
     assert move.good
     assert {(effect.kind, effect.where) for effect in move.added} == {
         ('viscous_friction', 'elbow'), ('rotor_inertia', 'elbow')}
@@ -380,5 +380,5 @@ def test_what_takes_the_place_of_a_friction_begins_with_its_form():
     own = next(effect for effect in known.effects if (effect.kind, effect.where) == ('coulomb_friction', 'turn'))
     trial = coarse_trial(known, KINDS['asymmetric_friction'], 'turn')
     assert trial.effect.parameters == own.parameters
-    moves = single_moves(known, refine_foremost(known, [trial]), KINDS)
+    moves = single_moves(known, refine_foremost(known, [trial]))
     assert [move.good for move in moves] == [True]

@@ -197,7 +197,7 @@ def test_what_a_model_holds_as_a_part_is_no_candidate():
     assert held([asymmetric]) == {(kind, 'turn') for kind in (
         'asymmetric_friction', 'coulomb_friction', 'viscous_friction')}
     tried = {(kind.kind, where)
-             for kind, where in candidates(fit_model(BODY, samples, [asymmetric], use, scale), kinds('effort'))}
+             for kind, where in candidates(fit_model(BODY, samples, [asymmetric], use, scale))}
     assert not tried & held([asymmetric]) and ('coulomb_friction', 'grip') in tried
 
 
@@ -280,7 +280,7 @@ def test_friction_of_all_joints_is_found_in_one_round_and_every_round_improves_t
 def test_a_round_that_is_over_keeps_none_of_what_its_models_and_trials_computed():
     """Of an hour's samples these are 100 MB and more in every round."""
     body, samples = BODY, rubbing(moving(2)[:600], np.zeros(4), np.array([0.0, 1.0, 0.0, 0.5]))
-    steps = search(starting_fit(body, samples, (), np.ones(600, dtype=bool)), kinds('effort'))
+    steps = search(starting_fit(body, samples, (), np.ones(600, dtype=bool)))
     assert len(steps) > 0
     for step in steps:
         assert not {'design', 'sliding', 'corrected', 'asked'} & vars(step.before).keys()
@@ -426,7 +426,7 @@ def test_what_was_found_gives_way_to_a_rival_that_more_knowledge_tells_from_it()
     samples = replace(samples, outputs=samples.outputs + carried)
     start = starting_fit(BODY, samples, [], np.ones(COUNT, dtype=bool))
     wrong, right = declare(start, [force]), declare(start, [load])
-    [swap], [back] = swapping_moves(wrong, [(force, load)], known), swapping_moves(right, [(load, force)], known)
+    [swap], [back] = swapping_moves(wrong, [(force, load)]), swapping_moves(right, [(load, force)])
     assert [effect.kind for effect in swap.after.effects] == ['payload'] and swap.good and not back.good
     assert swap.price == pytest.approx(-back.price)
     rival = Rival('payload', 'finger', 1.0, load)
@@ -464,7 +464,7 @@ def test_a_move_that_comes_to_nothing_does_not_end_the_search(monkeypatch):
     samples.outputs[:, 1] += 0.4 * samples.velocity[:, 1]
     samples.outputs[:, 3] += 0.05 * samples.acceleration[:, 3]
     known = {name: kinds('effort')[name] for name in ('viscous_friction', 'rotor_inertia')}
-    steps = search(starting_fit(BODY, samples, [], np.ones(COUNT, dtype=bool)), known)
+    steps = search(starting_fit(BODY, samples, [], np.ones(COUNT, dtype=bool), considered=known))
     assert [step.added[0].kind for step in steps] == ['rotor_inertia', 'viscous_friction']
 
 
@@ -581,7 +581,7 @@ def test_other_values_begin_a_round_only_where_they_gain_what_an_effect_costs(mo
         return [replace(trial, effect=trial.effect.with_values(turn_speed=0.3))
                 for trial in coarse(fit, *rest)]
 
-    def slightly(fit, fixed, kinds):
+    def slightly(fit, kept):
         return with_effects(fit, [effect.with_values(turn_speed=turned * effect.value('turn_speed'))
                                   for effect in fit.effects])
 
@@ -592,5 +592,5 @@ def test_other_values_begin_a_round_only_where_they_gain_what_an_effect_costs(mo
     if turned:
         monkeypatch.setattr(stepwise, 'reshaped', slightly)
     kind = {'coulomb_friction': kinds('effort')['coulomb_friction']}
-    steps = search(starting_fit(BODY, samples, (), np.ones(len(samples), dtype=bool)), kind)
+    steps = search(starting_fit(BODY, samples, (), np.ones(len(samples), dtype=bool), considered=kind))
     assert len(steps) == 1 and tried[:2] == [0, 1] and (len(tried) > 2) == (turned is None)

@@ -143,7 +143,7 @@ def test_an_effect_that_is_there_gains_and_one_that_is_not_costs():
     both = fitted(rubbing, [true, other])
     first, second = worth(both)
     assert first.total > 100.0 and second.total < 5.0
-    assert [effect.kind for effect in pruned(both, KINDS).effects] == ['viscous_friction']
+    assert [effect.kind for effect in pruned(both).effects] == ['viscous_friction']
 
 
 def test_a_point_of_application_costs_what_its_coordinates_tell():
@@ -175,15 +175,15 @@ def test_evidence_does_not_grow_without_limit():
 def test_a_kind_that_is_elsewhere_costs_less_and_a_start_more():
     fit = fitted(moving()[:COUNT])
     friction = [KINDS['viscous_friction'](joint) for joint in ODD_JOINTS]
-    costs = [price(friction[3], friction[:known], fit, KINDS) for known in range(4)]
+    costs = [price(friction[3], friction[:known], fit) for known in range(4)]
     assert costs == sorted(costs, reverse=True)
     assert costs[0] == pytest.approx(np.log(fit.config.odds * 4 * len(KINDS)))
     assert costs[3] == pytest.approx(np.log(6 / 4))
     pushes = [KINDS['external_force'](link) for link in KINDS['external_force'].places(BODY)[:2]]
-    assert price(pushes[1], pushes[:1], fit, KINDS) == price(pushes[1], (), fit, KINDS)  # no friction of all joints
+    assert price(pushes[1], pushes[:1], fit) == price(pushes[1], (), fit)  # no friction of all joints
     offset = KINDS['effort_offset']('turn')
     late = replace(offset, span=Span(3.0))
-    assert price(late, (), fit, KINDS) - price(offset, (), fit, KINDS) == pytest.approx(np.log(fit.config.start_grid))
+    assert price(late, (), fit) - price(offset, (), fit) == pytest.approx(np.log(fit.config.start_grid))
 
 
 def test_priors_of_the_robots_size_hold_what_the_other_blocks_leave_open():
@@ -253,10 +253,10 @@ def test_no_kind_is_shut_out_of_the_score_by_places_of_another_one(monkeypatch):
     """Crosstalk of a measured iCub stood tenth behind three cables, and three other effects were told in its place."""
     monkeypatch.setattr(moves, '_at_each_time', lambda fit, effect: [effect])
     monkeypatch.setattr(moves, 'declare', lambda fit, effects: effects)
-    monkeypatch.setattr(moves, '_plausible_moves', lambda fit, after, added, kinds: after)
+    monkeypatch.setattr(moves, '_plausible_moves', lambda fit, after, added: after)
     cables = [Trial(kinds('wrench')['cable_spring'](str(number)), 9, np.zeros(0), evidence=100.0 - number)
               for number in range(DEFAULTS.tried + 2)]
     crosstalk = Trial(kinds('wrench')['sensor_crosstalk'](), 30, np.zeros(0), evidence=80.0)
     hopeless = Trial(kinds('wrench')['sensor_gain'](), 6, np.zeros(0), evidence=-1.0)
-    tried = moves.single_moves(SimpleNamespace(config=DEFAULTS), [*cables, crosstalk, hopeless], {})
+    tried = moves.single_moves(SimpleNamespace(config=DEFAULTS), [*cables, crosstalk, hopeless])
     assert tried == [trial.effect for trial in (*cables[:DEFAULTS.tried], crosstalk)]

@@ -176,8 +176,8 @@ def test_a_load_that_comes_within_a_working_sample_is_one_load(share):
     outputs = noisy(BODY.regressors(fine) @ BODY.base_parameters, share=0.002)
     outputs += load.columns(BODY, fine, None)[0] @ heavy
     samples = averaged(replace(fine, outputs=outputs, whole=True), 5)
-    steps = search(starting_fit(BODY, samples, [], np.ones(len(samples), dtype=bool)),
-                   {kind: kinds('effort')[kind] for kind in ONLY})
+    steps = search(starting_fit(BODY, samples, [], np.ones(len(samples), dtype=bool),
+                                considered={kind: kinds('effort')[kind] for kind in ONLY}))
     found = steps[-1].after
     assert [effect.kind for effect in found.effects] == ['payload']
     assert found.effects[0].start_s == pytest.approx(load.start_s, abs=0.1)

@@ -10,7 +10,7 @@ from semiparam_ros.diagnosis.diagnose import diagnose
 from semiparam_ros.diagnosis.regression import fit_model
 from semiparam_ros.diagnosis.search.candidates import candidates
 from semiparam_ros.diagnosis.search.scoring import coarse
-from semiparam_ros.effects import effect_from_text, kinds
+from semiparam_ros.effects import effect_from_text
 from semiparam_ros.experiments.scoreboard import body_of, samples_of
 from semiparam_ros.settings import load_params
 from semiparam_ros.simulation import EffectRequest, Scenario, simulate
@@ -83,5 +83,5 @@ def test_nobody_looks_for_it_where_no_temperature_changes(change):
     if change != 'none recorded':
         samples.temperature[:] = 30.0 if change == 'constant' else np.nan
     fit = fit_model(body_of(recording), samples, [], np.ones(300, dtype=bool), np.ones(4))
-    tried = {trial.effect.kind for trial in coarse(fit, candidates(fit, kinds('effort')), lambda words, share: None)}
+    tried = {trial.effect.kind for trial in coarse(fit, candidates(fit), lambda words, share: None)}
     assert 'viscous_friction' in tried and 'temperature_friction' not in tried

@@ -20,10 +20,10 @@ Place = tuple[str, str | None, float | None]
 """Kind and place of an effect, and when it began where several may come one after the other, as loads do."""
 
 
-def candidates(fit: Fit, kinds: dict[str, type[Effect]]) -> list[tuple[type[Effect], str | None]]:
+def candidates(fit: Fit) -> list[tuple[type[Effect], str | None]]:
     """Every kind at every place of the robot, without those that are declared already and cannot come twice."""
     declared = held(fit.effects)
-    return [(kind, where) for name, kind in kinds.items() for where in kind.places(fit.body)
+    return [(kind, where) for name, kind in fit.considered.items() for where in kind.places(fit.body)
             if (name, where) not in declared]
 
 

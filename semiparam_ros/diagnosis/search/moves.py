@@ -55,15 +55,15 @@ class Move(NamedTuple):
         return self.gain.exceeds(self.price, max(needed_errors(effect, known, self.after) for effect in self.added))
 
 
-def _plausible_moves(fit: Fit, after: Fit, added: Sequence[Effect], kinds: Collection[str]) -> list[Move]:
+def _plausible_moves(fit: Fit, after: Fit, added: Sequence[Effect]) -> list[Move]:
     """The move that adds some effects, unless it gives one of the model values that it cannot have."""
     if not all_plausible(fit, after):
         return []
     times = [time_s for effect in added for time_s in effect.span.values.values()]
-    return [Move.of(added, fit, after, prices(added, fit, kinds), times)]
+    return [Move.of(added, fit, after, prices(added, fit), times)]
 
 
-def single_moves(fit: Fit, ranking: Sequence[Trial], kinds: Collection[str]) -> list[Move]:
+def single_moves(fit: Fit, ranking: Sequence[Trial]) -> list[Move]:
     """Each of the foremost trials by itself, and the foremost of each kind, with each of its times.
 
     The ranking fears many values more than the score does: several places of one kind shut out a better one.
@@ -72,7 +72,7 @@ def single_moves(fit: Fit, ranking: Sequence[Trial], kinds: Collection[str]) -> 
     foremost = [trial.effect for number, trial in enumerate(ranking) if trial.evidence > 0.0
                 and (number < fit.config.tried or trial is of_kind[trial.effect.kind])]
     return [move for effect in foremost for timed in _at_each_time(fit, effect)
-            for move in _plausible_moves(fit, declare(fit, [timed]), [timed], kinds)]
+            for move in _plausible_moves(fit, declare(fit, [timed]), [timed])]
 
 
 def _at_each_time(fit: Fit, effect: Effect) -> list[Effect]:
@@ -85,7 +85,7 @@ def _at_each_time(fit: Fit, effect: Effect) -> list[Effect]:
                       if span.values.keys() != effect.span.values.keys())]
 
 
-def repeated_moves(fit: Fit, ranking: Sequence[Trial], kinds: dict[str, type[Effect]]) -> list[Move]:
+def repeated_moves(fit: Fit, ranking: Sequence[Trial]) -> list[Move]:
     """Moves of what begins twice, as a load picked up again: with one of them alone the model is no better, for the
     rest of it bends towards the other."""
     moves, known = list[Move](), {identity(effect) for effect in fit.effects}
@@ -95,7 +95,7 @@ def repeated_moves(fit: Fit, ranking: Sequence[Trial], kinds: dict[str, type[Eff
         once, where = declare(fit, [trial.effect]), trial.effect.where
         again = coarse_trial(once, type(trial.effect), where)
         if again is not None and identity(again.effect) not in {*known, identity(trial.effect)}:
-            moves += _plausible_moves(fit, declare(once, [again.effect]), [trial.effect, again.effect], kinds)
+            moves += _plausible_moves(fit, declare(once, [again.effect]), [trial.effect, again.effect])
     return moves
 
 
@@ -116,7 +116,7 @@ def ending_moves(fit: Fit) -> list[Move]:
     return moves
 
 
-def swapping_moves(fit: Fit, pairs: Sequence[tuple[Effect, Effect]], kinds: Collection[str]) -> list[Move]:
+def swapping_moves(fit: Fit, pairs: Sequence[tuple[Effect, Effect]]) -> list[Move]:
     """Moves that put a rival in the place of what was found: what has come in since may tell the two apart."""
     moves = []
     for known, rival in pairs:
@@ -124,70 +124,69 @@ def swapping_moves(fit: Fit, pairs: Sequence[tuple[Effect, Effect]], kinds: Coll
         after = declare(rest, [rival])
         if all_plausible(rest, after):
             times = set(known.span.values.values()) ^ set(rival.span.values.values())
-            price = prices([rival], rest, kinds) - prices([known], rest, kinds)
+            price = prices([rival], rest) - prices([known], rest)
             moves.append(Move.of((rival,), fit, after, price, times))
     return moves
 
 
-def group_moves(fit: Fit, trials: Sequence[Trial], kinds: Collection[str]) -> list[Move]:
+def group_moves(fit: Fit, trials: Sequence[Trial]) -> list[Move]:
     """Kinds at all their places at once: what one joint lacks bends the rigid body's fit of the others."""
     groups: dict[str, list[Effect]] = {}
     for trial in trials:
         if trial.effect.group:
             groups.setdefault(trial.effect.group, []).append(trial.effect.without_span())
     known, moves = {identity(effect) for effect in fit.effects}, []
-    order = list(kinds)
+    order = list(fit.considered)
     for effects in groups.values():
         effects.sort(key=lambda effect: (order.index(effect.kind), effect.places(fit.body).index(effect.where)))
         if len(effects) > 1:
             after = without_impossible(declare(fit, effects))
-            after = reshaped(after, known, kinds) if any(effect.searched for effect in effects) else after
-            after = pruned(after, kinds, known=known)
+            after = reshaped(after, known) if any(effect.searched for effect in effects) else after
+            after = pruned(after, known=known)
             added = tuple(effect for effect in after.effects if identity(effect) not in known)
             if added:
-                moves.append(Move.of(added, fit, after, prices(added, fit, kinds)))
+                moves.append(Move.of(added, fit, after, prices(added, fit)))
     return moves
 
 
-def hidden_moves(fit: Fit, trials: Sequence[Trial], kinds: dict[str, type[Effect]],
-                 report: Progress) -> list[Move]:
+def hidden_moves(fit: Fit, trials: Sequence[Trial], report: Progress) -> list[Move]:
     """The best move that gives joints their friction and rotors, and one more cause there, at once.
 
     A joint that lacks two hides either of them: with one alone, what is left repeats itself for so long that hardly
     any of its samples tell something.
     """
     known, tried = {identity(effect) for effect in fit.effects}, {identity(trial.effect): trial for trial in trials}
-    lacking = [(kind, where) for kind, where in candidates(fit, kinds) if kind.group and kind.resists]
+    lacking = [(kind, where) for kind, where in candidates(fit) if kind.group and kind.resists]
     if not lacking:
         return []
     friction = [tried[kind.kind, where, None].effect if (kind.kind, where, None) in tried else
                 kind.from_values(where, kind.searches(fit.body, fit.samples, where, fit.residual)[0])
                 for kind, where in lacking]
     joints = {where for _, where in lacking}
-    beside = reshaped(declare(fit, friction), known, kinds)
-    pool = [(kind, where) for kind, where in candidates(beside, kinds) if where in joints]
+    beside = reshaped(declare(fit, friction), known)
+    pool = [(kind, where) for kind, where in candidates(beside) if where in joints]
     ranking = refine_foremost(beside, coarse(beside, pool, report))
-    good = [move for move in single_moves(beside, ranking, kinds) if move.good]
+    good = [move for move in single_moves(beside, ranking) if move.good]
     after = without_impossible(max(good, key=lambda move: move.net).after if good else beside)
-    after = pruned(reshaped(after, known, kinds), kinds, known=known)
+    after = pruned(reshaped(after, known), known=known)
     added = [effect for effect in after.effects if identity(effect) not in known]
-    return _plausible_moves(fit, after, added, kinds) if added else []
+    return _plausible_moves(fit, after, added) if added else []
 
 
-def moving_moves(fit: Fit, kinds: dict[str, type[Effect]]) -> list[Move]:
+def moving_moves(fit: Fit) -> list[Move]:
     """Calibrations that move what the effects depend on, each with all forms of these searched anew beside it.
 
     Efforts that come late make dry friction seem to bend before it slides: each of the two hides the other.
     """
     formed = [effect for effect in fit.effects if effect.searched and not effect.is_calibration]
     known, moves = {effect.kind for effect in fit.effects}, list[Move]()
-    for kind in kinds.values():
+    for kind in fit.considered.values():
         if formed and kind.moves_friction and kind.kind not in known and None in kind.places(fit.body):
             nothing = kind(None, {coefficient.name: 0.0 for coefficient in kind.calibrations})
             after = declare(formed_anew(declare(fit, [nothing])), [])
-            after = reshaped(without_impossible(after), fixed(fit), kinds)
+            after = reshaped(without_impossible(after), fixed(fit))
             added = next(effect for effect in after.effects if effect.kind == kind.kind)
-            moves += _plausible_moves(fit, after, [added], kinds)
+            moves += _plausible_moves(fit, after, [added])
     return moves
 
 

@@ -4,7 +4,7 @@ that this robot could bear, and what each costs, minus the log of its prior prob
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -71,7 +71,7 @@ OF_PSEUDO_INERTIA = pseudo_inertia(np.eye(10))
 """(10, 4, 4): the pseudo-inertia is linear in the inertial parameters."""
 
 
-def price(effect: Effect, others: Sequence[Effect], fit: Fit, kinds: Collection[str]) -> float:
+def price(effect: Effect, others: Sequence[Effect], fit: Fit) -> float:
     """[nat] minus the log of an effect's prior probability beside others.
 
     Each kind is as unlikely as any other, at each of its places. One of a group, such as friction, that is at k of n
@@ -85,16 +85,16 @@ def price(effect: Effect, others: Sequence[Effect], fit: Fit, kinds: Collection[
     breaks = breaks_s(fit.samples)
     times = math.prod(len(breaks) + 1 if time_s in breaks else config.start_grid
                       for time_s in effect.span.values.values())
-    odds = (places + 2) / (same + 1) if same else config.odds * places * max(len(kinds), 1)
+    odds = (places + 2) / (same + 1) if same else config.odds * places * max(len(fit.considered), 1)
     return math.log(choices * times * odds)
 
 
-def prices(added: Sequence[Effect], fit: Fit, kinds: Collection[str]) -> float:
+def prices(added: Sequence[Effect], fit: Fit) -> float:
     """[nat] the same of effects that come one after the other."""
     known = list(fit.effects)
     total = 0.0
     for effect in added:
-        total += price(effect, known, fit, kinds)
+        total += price(effect, known, fit)
         known.append(effect)
     return total
 

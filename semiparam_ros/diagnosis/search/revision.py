@@ -17,7 +17,7 @@ from semiparam_ros.effects import Effect
 from semiparam_ros.effects.base import Values
 
 
-def bent(fit: Fit, places: Collection[Place], kinds: Collection[str]) -> Fit:
+def bent(fit: Fit, places: Collection[Place]) -> Fit:
     """The model with the nonlinear values of the effects at some places at their best, beside all
     others, where that helps on unseen blocks.
 
@@ -30,7 +30,7 @@ def bent(fit: Fit, places: Collection[Place], kinds: Collection[str]) -> Fit:
     opened = [number for number in numbers if fit.effects[number].finer() != fit.effects[number]]
     tried = [(settled(fit, numbers), 0.0)]
     if opened:
-        price_of_guesses = len(opened) * math.log(max(len(kinds), 1))
+        price_of_guesses = len(opened) * math.log(max(len(fit.considered), 1))
         tried.append((settled(_opened(fit, opened), numbers), price_of_guesses))
     options = [(fit.config.settled_gain, fit), *(
         (gain(fit, after).total - spent, after) for after, spent in tried
@@ -51,9 +51,9 @@ def _opened(fit: Fit, numbers: Collection[int]) -> Fit:
     return with_effects(fit, effects)
 
 
-def reshaped(fit: Fit, kept: Collection[Place], kinds: Collection[str]) -> Fit:
+def reshaped(fit: Fit, kept: Collection[Place]) -> Fit:
     """:func:`bent` of all effects but those that are ``kept``."""
-    return bent(fit, {identity(effect) for effect in fit.effects}.difference(kept), kinds)
+    return bent(fit, {identity(effect) for effect in fit.effects}.difference(kept))
 
 
 def with_common_forms(fit: Fit) -> Fit:
@@ -79,7 +79,7 @@ def with_common_forms(fit: Fit) -> Fit:
     return fit
 
 
-def with_usual(fit: Fit, kinds: dict[str, type[Effect]]) -> Fit:
+def with_usual(fit: Fit) -> Fit:
     """The model with what joints commonly have in place of a rarer cause that no block tells from it.
 
     What half of the joints have has to lose by more than its odds: a joint that goes one way shows no offset from its
@@ -90,26 +90,25 @@ def with_usual(fit: Fit, kinds: dict[str, type[Effect]]) -> Fit:
             and identity(effect) not in fixed(fit) and not usual(effect, others(fit, effect), fit)]
     for effect in rare:
         rest = with_effects(fit, others(fit, effect))
-        for kind in kinds.values():
+        for kind in fit.considered.values():
             if not kind.group or (kind.kind, effect.where) in held(rest.effects) \
                     or effect.where not in kind.places(fit.body):
                 continue
             trial = coarse_trial(rest, kind, effect.where)
             if trial is not None:
-                after = bent(declare(rest, [trial.effect]), [identity(trial.effect)], kinds)
-                if _likelier_beforehand(rest, fit, effect, after, trial.effect, kinds) and all_plausible(fit, after):
-                    after = pruned(after, kinds)
+                after = bent(declare(rest, [trial.effect]), [identity(trial.effect)])
+                if _likelier_beforehand(rest, fit, effect, after, trial.effect) and all_plausible(fit, after):
+                    after = pruned(after)
                     if (kind.kind, effect.where) in held(after.effects):  # else the rarer one would come again
                         return after
     return fit
 
 
-def _likelier_beforehand(rest: Fit, fit: Fit, effect: Effect, after: Fit, other: Effect,
-                         kinds: Collection[str]) -> bool:
+def _likelier_beforehand(rest: Fit, fit: Fit, effect: Effect, after: Fit, other: Effect) -> bool:
     """Return whether the model ``after``, the rest with another effect, is likelier beforehand than that with the
     effect, by strong evidence, and no blocks outweigh that. Their densities, each given all the others, hardly hold the
     prior's."""
-    dearer = prices([effect], rest, kinds) - prices([other], rest, kinds) + unlikely(fit) - unlikely(after)
+    dearer = prices([effect], rest) - prices([other], rest) + unlikely(fit) - unlikely(after)
     errors = fit.config.sure if usual(other, rest.effects, fit) else 0.0
     return dearer > math.log(fit.config.better_odds) and not gain(after, fit).exceeds(dearer, errors)
 
@@ -135,7 +134,7 @@ def formed_anew(fit: Fit) -> Fit:
     return after
 
 
-def split(fit: Fit, places: Collection[Place], kinds: Collection[str]) -> Fit:
+def split(fit: Fit, places: Collection[Place]) -> Fit:
     """The model with the plainer effects of which some at these places are made up, unless blocks tell them apart."""
     for effect in fit.effects:
         plainer = list(effect.plainer()) if identity(effect) in places else []
@@ -143,20 +142,20 @@ def split(fit: Fit, places: Collection[Place], kinds: Collection[str]) -> Fit:
         if not plainer or held(plainer) & held(rest.effects):
             continue
         simpler = declare(rest, plainer)
-        simpler = bent(simpler, [identity(part) for part in plainer], kinds)
-        if not gain(simpler, fit).exceeds(prices([effect], rest, kinds), fit.config.sure):
+        simpler = bent(simpler, [identity(part) for part in plainer])
+        if not gain(simpler, fit).exceeds(prices([effect], rest), fit.config.sure):
             fit = simpler
     return fit
 
 
-def revalued(fit: Fit, kinds: Collection[str]) -> tuple[Fit, set[Place]]:
+def revalued(fit: Fit) -> tuple[Fit, set[Place]]:
     """The model with other values of those calibrations whose declared ones are wrong, and which these are: with other
     values it leaves less by more than a cause of that kind costs, the most telling first."""
     moved = set[Place]()
     while True:
         tried = [(worth_more.total - cost, identity(effect), after) for effect in fit.effects
                  if effect.is_calibration and identity(effect) not in moved
-                 for after, worth_more, cost in [_with_other_values(fit, effect, kinds)]
+                 for after, worth_more, cost in [_with_other_values(fit, effect)]
                  if worth_more.exceeds(cost, fit.config.sure) and all_plausible(fit, after)]
         if not tried:
             return fit, moved
@@ -164,26 +163,26 @@ def revalued(fit: Fit, kinds: Collection[str]) -> tuple[Fit, set[Place]]:
         moved.add(which)
 
 
-def _with_other_values(fit: Fit, effect: Effect, kinds: Collection[str]) -> tuple[Fit, Gain, float]:
+def _with_other_values(fit: Fit, effect: Effect) -> tuple[Fit, Gain, float]:
     """The model with a calibration settled anew, what that gains, and what it costs: each value what a search among as
     many as the samples tell apart does (Schwarz 1978)."""
     after = calibrated(fit, [effect])
     before, there = (fit.sliding, after.sliding) if told_by_sliding(fit, effect) else (fit, after)
     independent = float((there.counts / repetition(there)).sum())
-    cost = price(effect, others(fit, effect), fit, kinds) + 0.5 * len(effect.calibrations) * math.log(independent)
+    cost = price(effect, others(fit, effect), fit) + 0.5 * len(effect.calibrations) * math.log(independent)
     return after, gain_of_values(before, there), cost
 
 
-def other_forms(fit: Fit, after: Fit, kinds: Collection[str]) -> tuple[Effect, ...]:
+def other_forms(fit: Fit, after: Fit) -> tuple[Effect, ...]:
     """The declared effects that the second model holds with other nonlinear values, where that gains more than it would
     cost to add them."""
     changed = [effect for effect in after.effects if identity(effect) in fixed(fit) and effect not in fit.effects
                and not effect.is_calibration]
-    cost = sum(price(effect, others(fit, effect), fit, kinds) for effect in changed)
+    cost = sum(price(effect, others(fit, effect), fit) for effect in changed)
     return tuple(changed) if changed and gain(fit, after).exceeds(cost, fit.config.sure) else ()
 
 
-def pruned(fit: Fit, kinds: Collection[str], worth: Callable[[Fit], list[Gain]] = worth,
+def pruned(fit: Fit, worth: Callable[[Fit], list[Gain]] = worth,
            known: Collection[Place] = ()) -> Fit:
     """The model without the effects that the others make needless, the weakest first; ``worth`` is that of each. Those
     that were declared stay, and those that are ``known``.
@@ -195,7 +194,7 @@ def pruned(fit: Fit, kinds: Collection[str], worth: Callable[[Fit], list[Gain]] 
         weak = []
         for number, (effect, each) in enumerate(zip(fit.effects, worth(fit), strict=True)):
             rest = others(fit, effect)
-            cost, errors = price(effect, rest, fit, kinds), needed_errors(effect, rest, fit)
+            cost, errors = price(effect, rest, fit), needed_errors(effect, rest, fit)
             if identity(effect) not in kept and not each.exceeds(cost, errors):
                 weak.append((each.total, number))
         if not weak:

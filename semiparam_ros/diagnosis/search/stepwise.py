@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple
@@ -68,15 +68,16 @@ class Step:
 
 
 def starting_fit(body: RigidBody, samples: Samples, effects: Sequence[Effect], train_mask: Mask,
-                 config: DiagnosisConfig = DEFAULTS, counted: Mask | None = None) -> Fit:
-    """The declared model, each channel weighed by its own residual; ``counted`` as in :func:`fit_model`."""
+                 config: DiagnosisConfig = DEFAULTS, counted: Mask | None = None,
+                 considered: Mapping[str, type[Effect]] | None = None) -> Fit:
+    """The declared model, each channel weighed by its own residual; the rest as in :func:`fit_model`."""
     outputs = samples.outputs[train_mask]
     scale = residual_scale(outputs - outputs.mean(axis=0), outputs)
-    fit = fit_model(body, samples, effects, train_mask, scale, config, counted)
+    fit = fit_model(body, samples, effects, train_mask, scale, config, counted, considered)
     return refit_weights(refit_weights(fit))
 
 
-def search(fit: Fit, kinds: dict[str, type[Effect]], progress: Progress = lambda words, share: None,
+def search(fit: Fit, progress: Progress = lambda words, share: None,
            hopeless: Callable[[Fit], bool] = lambda fit: False) -> list[Step]:
     """Change the model by the best move, until no move is good.
 
@@ -84,12 +85,12 @@ def search(fit: Fit, kinds: dict[str, type[Effect]], progress: Progress = lambda
     """
     steps: list[Step] = []
     for _ in range(fit.config.most_rounds):
-        step = _next_step(fit, kinds, steps, partial(_report, progress, len(steps) + 1))
+        step = _next_step(fit, steps, partial(_report, progress, len(steps) + 1))
         if step is None:
-            shaped = reshaped(fit, fixed(fit), kinds) if steps else fit
+            shaped = reshaped(fit, fixed(fit)) if steps else fit
             if shaped is fit:
                 break
-            before, fit = fit, pruned(shaped, kinds)
+            before, fit = fit, pruned(shaped)
             steps[-1] = replace(steps[-1], after=fit)
             if len(fit.effects) == len(before.effects) and not _worth_a_round(before, fit):
                 break
@@ -115,31 +116,30 @@ def _rivalries(fit: Fit, steps: Sequence[Step]) -> list[tuple[Effect, Effect]]:
     return pairs
 
 
-def _next_step(fit: Fit, kinds: dict[str, type[Effect]], steps: Sequence[Step], report: Progress) -> Step | None:
+def _next_step(fit: Fit, steps: Sequence[Step], report: Progress) -> Step | None:
     """The best move that comes to something, and what it makes needless.
 
     What moves in time bends what was just found at many places, so it is tried beside other forms of what is known
     then; and where nothing else is good. Two causes at once are tried where one alone comes to nothing.
     """
-    trials = coarse(fit, candidates(fit, kinds), report)
+    trials = coarse(fit, candidates(fit), report)
     ranking = refine_foremost(fit, trials)
-    moves = [*single_moves(fit, ranking, kinds), *group_moves(fit, trials, kinds), *ending_moves(fit),
-             *repeated_moves(fit, ranking, kinds), *swapping_moves(fit, _rivalries(fit, steps), kinds)]
+    moves = [*single_moves(fit, ranking), *group_moves(fit, trials), *ending_moves(fit),
+             *repeated_moves(fit, ranking), *swapping_moves(fit, _rivalries(fit, steps))]
     if (steps and len(steps[-1].added) > 1) or not any(move.good for move in moves):
-        moves += moving_moves(fit, kinds)
-    made = partial(_first_made, fit, ranking, kinds, steps, report)
-    return made(moves) or made(hidden_moves(fit, trials, kinds, report)) or \
-        _changed(fit, with_usual(fit, kinds), ranking) or (
-            None if steps else _revalued(fit, kinds, ranking))
+        moves += moving_moves(fit)
+    made = partial(_first_made, fit, ranking, steps, report)
+    return made(moves) or made(hidden_moves(fit, trials, report)) or \
+        _changed(fit, with_usual(fit), ranking) or (None if steps else _revalued(fit, ranking))
 
 
-def _first_made(fit: Fit, ranking: Sequence[Trial], kinds: Collection[str], steps: Sequence[Step], report: Progress,
+def _first_made(fit: Fit, ranking: Sequence[Trial], steps: Sequence[Step], report: Progress,
                 moves: Sequence[Move]) -> Step | None:
     """The step of the best of the good moves that comes to something."""
     good = [move for move in moves if move.good]
     while good:
         best = simplest(good)
-        step = _made(fit, best, moves, ranking, kinds)
+        step = _made(fit, best, moves, ranking)
         if step.added:
             report(f'found {", ".join(place(effect.kind, effect.where) for effect in step.added)}', 1.0)
         if step.added or (steps and _worth_a_round(fit, step.after)):
@@ -154,9 +154,9 @@ def _worth_a_round(before: Fit, after: Fit) -> bool:
     return gain(before, after).total > math.log(before.config.odds)
 
 
-def _revalued(fit: Fit, kinds: Collection[str], ranking: Sequence[Trial]) -> Step | None:
+def _revalued(fit: Fit, ranking: Sequence[Trial]) -> Step | None:
     """The step that gives declared calibrations other values, which every step with something new does along."""
-    after, moved = revalued(fit, kinds)
+    after, moved = revalued(fit)
     added = tuple(effect for effect in after.effects if identity(effect) in moved)
     return Step(added=added, rivals=(), ranking=tuple(ranking), before=fit, after=after) if added else None
 
@@ -170,16 +170,16 @@ def _changed(fit: Fit, after: Fit, ranking: Sequence[Trial]) -> Step | None:
         if added or dropped else None
 
 
-def _made(fit: Fit, best: Move, moves: Sequence[Move], ranking: Sequence[Trial], kinds: Collection[str]) -> Step:
+def _made(fit: Fit, best: Move, moves: Sequence[Move], ranking: Sequence[Trial]) -> Step:
     """The step that a move is, with what was added at its best and what it makes needless taken off. Where that is what
     was declared, in another form, it adds that; where it is what was found, nothing."""
     added = [identity(effect) for effect in best.added]
-    after = without_divided(bent(best.after, added, kinds))
-    after = pruned(split(after, added, kinds), kinds)
+    after = without_divided(bent(best.after, added))
+    after = pruned(split(after, added))
     before = {(identity(effect), effect.end_s) for effect in fit.effects}
     names = {identity(effect) for effect in after.effects}
     found = tuple(effect for effect in after.effects if (identity(effect), effect.end_s) not in before) \
-        or other_forms(fit, after, kinds)
+        or other_forms(fit, after)
     alone = len(found) == 1 == len(best.added)
     if alone:  # a load may have moved to the link nearest to its centre
         ranking = [replace(trial, effect=found[0]) if identity(trial.effect) == added[0] else trial
