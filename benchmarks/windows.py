@@ -299,7 +299,7 @@ def _effect(finding: Any) -> dict[str, Any]:
     values = {name: {'value': one.value, 'std': one.std} for name, one in finding.parameters.items()}
     return {'kind': finding.effect.kind, 'where': finding.effect.where, 'start_s': finding.effect.start_s,
             'gain': finding.log_evidence_gain, 'values': values,
-            'group': [[rival.kind, rival.where] for rival in finding.rivals]}
+            'group': [[rival.effect.kind, rival.effect.where] for rival in finding.rivals]}
 
 
 def _cause(effect: Effect, truth: dict[str, float], nats: float, found: list[dict[str, Any]]) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from semiparam_ros.diagnosis.regression import Fit
 from semiparam_ros.diagnosis.search.score import worth
 from semiparam_ros.diagnosis.search.stepwise import Rival, Step
 from semiparam_ros.diagnosis.uncertainty import Estimates
-from semiparam_ros.effects import Effect, kinds
+from semiparam_ros.effects import Effect
 from semiparam_ros.effects.base import Coefficient
 
 
@@ -45,8 +45,8 @@ class Finding:
                 'sentence': self.effect.sentence, 'log_evidence_gain': self.log_evidence_gain,
                 'parameters': {name: vars(quantity) for name, quantity in self.parameters.items()},
                 'indistinguishable_from': [
-                    {'kind': rival.kind, 'where': rival.where, 'odds': rival.odds,
-                     'separated_by': kinds()[rival.kind].separated_by} for rival in self.rivals]}
+                    {'kind': rival.effect.kind, 'where': rival.effect.where, 'odds': rival.odds,
+                     'separated_by': rival.effect.separated_by} for rival in self.rivals]}
 
 
 def findings(fit: Fit, steps: list[Step], everything: Fit, told: Estimates) -> list[Finding]:

@@ -14,7 +14,7 @@ from semiparam_ros.diagnosis.findings import Finding, Quantity
 from semiparam_ros.diagnosis.search.candidates import identity
 from semiparam_ros.diagnosis.search.stepwise import Rival
 from semiparam_ros.diagnosis.setup.identifiability import listed
-from semiparam_ros.effects import Effect, kinds
+from semiparam_ros.effects import Effect
 from semiparam_ros.effects.base import place
 
 MOST_PARAMETERS, MOST_IN_ROW, MOST_DECIMALS = 4, 2, 6
@@ -73,7 +73,7 @@ def summary(diagnosis: Diagnosis) -> list[str]:
     lines = _verdict(diagnosis)
     for finding in diagnosis.findings:
         effect = finding.effect
-        rivals = f'; or {place(finding.rivals[0].kind, finding.rivals[0].where)}' if finding.rivals else ''
+        rivals = ''.join(f'; or {place(rival.effect.kind, rival.effect.where)}' for rival in finding.rivals[:1])
         lines.append(f'- {place(effect.kind, effect.where)}{when(diagnosis, effect)}: '
                      f'{_values(finding, MOST_IN_ROW)}{rivals}')
     return lines
@@ -240,7 +240,7 @@ def next_step(diagnosis: Diagnosis, written: str = '') -> str:
     if diagnosis.setup:
         return 'put right what is said above, and diagnose again: nothing else is worth reading before.'
     if rivals:
-        return f'to be sure of {rivals[0].effect.kind}, record {kinds()[rivals[0].effect.kind].separated_by}.'
+        return f'to be sure of {rivals[0].effect.kind}, record {rivals[0].effect.separated_by}.'
     if diagnosis.verdict == 'unexplained':
         return 'look at the page (--html FILE.html): against what the residual shows tells where to look on the robot.'
     if diagnosis.findings:
@@ -257,7 +257,7 @@ def _rivals(finding: Finding, better_odds: float) -> list[str]:
         return []
     names = _with_odds(finding.rivals)
     lines = [f'  On this motion it cannot be told for certain from {names}. What would separate them: '
-             f'{kinds()[finding.effect.kind].separated_by}.']
+             f'{finding.effect.separated_by}.']
     better = [rival for rival in finding.rivals if rival.odds > better_odds]
     if better:
         lines.append(f'  {_with_odds(better)} would explain it better, with more parameters or against the '
@@ -266,7 +266,7 @@ def _rivals(finding: Finding, better_odds: float) -> list[str]:
 
 
 def _with_odds(rivals: Sequence[Rival]) -> str:
-    return ', '.join(f'{place(rival.kind, rival.where)} ({_likely(rival.odds)})' for rival in rivals)
+    return ', '.join(f'{place(rival.effect.kind, rival.effect.where)} ({_likely(rival.odds)})' for rival in rivals)
 
 
 def _likely(odds: float) -> str:

@@ -134,7 +134,7 @@ def case(plan: Plan, kind: str, size: float, seed: int) -> ScoreboardRow:
             'visible_share': truth.get('unexplained_share'),
             'found': [finding.effect.kind for finding in found.findings],
             'found_where': [finding.effect.where for finding in found.findings],
-            'group': [rival.kind for rival in found.findings[0].rivals] if found.findings else [],
+            'group': [rival.effect.kind for rival in found.findings[0].rivals] if found.findings else [],
             'removed': removed_share(found, samples_of(simulate(clean))) if hidden else None,
             'start_off_samples': start_off(found, recording.truth, plan),
             'deviations_off': [off for true in recording.truth for off in deviations_off(found, true)]}

@@ -239,7 +239,7 @@ def candidates_of(step: Step, number: int) -> Figure:
     """Log evidence of the foremost candidates of a round, the chosen ones and their rivals in colours of their own."""
     shown = foremost(step)
     chosen = {(effect.kind, effect.where) for effect in step.added}
-    rivals = {(rival.kind, rival.where) for rival in step.rivals}
+    rivals = {(rival.effect.kind, rival.effect.where) for rival in step.rivals}
     with page_style():
         figure = Figure(figsize=(WIDTH, 0.24 * len(shown) + 0.9))
         panel = figure.subplots()

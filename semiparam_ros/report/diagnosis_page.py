@@ -16,7 +16,7 @@ from semiparam_ros.diagnosis.regression import Fit
 from semiparam_ros.diagnosis.residual.formula import Formula
 from semiparam_ros.diagnosis.residual.structure import Structure
 from semiparam_ros.diagnosis.text_report import next_step, rounded, table_rows, text_report, when
-from semiparam_ros.effects import effect_to_text, kinds
+from semiparam_ros.effects import effect_to_text
 from semiparam_ros.effects.base import place
 from semiparam_ros.report import diagnosis_figures as figures
 from semiparam_ros.report.diagnosis_figures import Suspicion, against_suspected, against_unexplained, suspicions
@@ -121,8 +121,8 @@ def _cause(diagnosis: Diagnosis, finding: Finding) -> CauseRow:
     since = when(diagnosis, effect, dated=False).removeprefix(', ') or 'from the beginning'
     parameters = [ParameterRow(name, *rounded(quantity), quantity.unit.replace('^2', '²'))
                   for name, quantity in finding.parameters.items()]
-    alternatives = [AlternativeRow(place(rival.kind, rival.where), odds_text(rival.odds),
-                                kinds()[rival.kind].separated_by) for rival in finding.rivals]
+    alternatives = [AlternativeRow(place(rival.effect.kind, rival.effect.where), odds_text(rival.odds),
+                                   rival.effect.separated_by) for rival in finding.rivals]
     return CauseRow(place(effect.kind, effect.where), since, finding.log_evidence_gain, parameters,
                  alternatives, effect.separated_by)
 

@@ -368,7 +368,7 @@ def test_a_rival_that_explains_it_better_is_told_apart_from_a_toss_up(friction):
     """Odds of 370 were told as 0.9 are, and those of a worse one as "odds 0.077"."""
     first = friction.findings[0]
     told = {odds: ' '.join(text_report(replace(friction, findings=[replace(first, rivals=(
-        Rival('coulomb_friction', 'r_elbow', odds),))]))) for odds in (0.077, 0.9, 370.0)}
+        Rival(kinds()['coulomb_friction']('r_elbow'), odds),))]))) for odds in (0.077, 0.9, 370.0)}
     assert 'cannot be told for certain from coulomb_friction at r_elbow (as likely)' in told[0.9]
     assert 'cannot be told for certain from coulomb_friction at r_elbow (13 times less likely)' in told[0.077]
     assert 'would explain it better' not in told[0.9] + told[0.077]
@@ -702,7 +702,7 @@ def test_an_effect_of_half_a_percent_of_the_error_is_found(long):
                                        effects=(EffectRequest('gravity_tilt', size=0.5),))),
                      only=() if long else ('gravity_tilt', 'joint_offset'))
     first = found.findings[0]
-    assert 'gravity_tilt' in {first.effect.kind, *(rival.kind for rival in first.rivals)}
+    assert 'gravity_tilt' in {first.effect.kind, *(rival.effect.kind for rival in first.rivals)}
     assert 0.9 < found.after.nmse.mean() / found.before.nmse.mean() < 1.0
 
 

@@ -429,8 +429,7 @@ def test_what_was_found_gives_way_to_a_rival_that_more_knowledge_tells_from_it()
     [swap], [back] = swapping_moves(wrong, [(force, load)]), swapping_moves(right, [(load, force)])
     assert [effect.kind for effect in swap.after.effects] == ['payload'] and swap.good and not back.good
     assert swap.price == pytest.approx(-back.price)
-    rival = Rival('payload', 'finger', 1.0, load)
-    step = Step(added=(force,), rivals=(rival._replace(odds=0.1, effect=force), rival), ranking=(), before=start,
+    step = Step(added=(force,), rivals=(Rival(force, 0.1), Rival(load, 1.0)), ranking=(), before=start,
                 after=wrong)
     assert _rivalries(wrong, [step]) == [(force, load)] and _rivalries(right, [step]) == []
 
@@ -446,7 +445,7 @@ def test_a_cause_at_several_times_is_one_rival(monkeypatch):
     monkeypatch.setattr(stepwise, 'block_gains', lambda _, other: np.sign(np.arange(0.5, 24.0) - 10.0 - other.residual))
     force, *rivals = moves
     found = _rivals(fit, force, rivals)
-    assert [rival.kind for rival in found] == ['joint_spring', 'payload']
+    assert [rival.effect.kind for rival in found] == ['joint_spring', 'payload']
     assert found[1].effect is rivals[0].added[0]
 
 

@@ -395,7 +395,7 @@ def test_what_was_added_is_shown_however_far_down_it_ranked():
         return Trial(effect, 1, np.zeros(1), evidence=evidence)
 
     ranking = tuple(trial(number, 100.0 - 10.0 * number) for number in range(12))
-    step = Step(added=(ranking[0].effect, ranking[11].effect), rivals=(Rival('viscous_friction', 'joint3', 0.5),),
+    step = Step(added=(ranking[0].effect, ranking[11].effect), rivals=(Rival(ranking[3].effect, 0.5),),
                 ranking=ranking, before=None, after=None)
     shown = figures.foremost(step)
     assert shown == list(ranking[:figures.MOST_BARS])  # nothing is shown that explains nothing

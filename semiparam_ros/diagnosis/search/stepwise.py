@@ -48,10 +48,8 @@ from semiparam_ros.effects.base import place
 class Rival(NamedTuple):
     """An effect that explains the same about as well; ``odds`` are against the one chosen."""
 
-    kind: str
-    where: str | None
+    effect: Effect
     odds: float
-    effect: Effect | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,8 +109,8 @@ def _rivalries(fit: Fit, steps: Sequence[Step]) -> list[tuple[Effect, Effect]]:
     pairs = []
     for step in steps:
         held = [effect for effect in fit.effects if identity(effect) == identity(step.added[0])]
-        likeliest = {rival.kind: rival.effect for rival in sorted(step.rivals, key=lambda rival: rival.odds)}
-        pairs += [(held[0], rival) for rival in likeliest.values() if held and rival is not None]
+        likeliest = {rival.effect.kind: rival.effect for rival in sorted(step.rivals, key=lambda rival: rival.odds)}
+        pairs += [(held[0], rival) for rival in likeliest.values() if held]
     return pairs
 
 
@@ -207,7 +205,7 @@ def _rivals(fit: Fit, chosen: Move, moves: Sequence[Move]) -> tuple[Rival, ...]:
         better = min(int((drawn > 0.0).sum()), draws - 1)
         if better > 1:
             effect = move.added[0]
-            rival = Rival(effect.kind, effect.where, better / (draws - better), effect)
+            rival = Rival(effect, better / (draws - better))
             earlier = found.pop((effect.kind, effect.where), rival)
             found[effect.kind, effect.where] = max(rival, earlier, key=lambda each: each.odds)
     return tuple(found.values())
