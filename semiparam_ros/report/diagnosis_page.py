@@ -11,12 +11,12 @@ from semiparam_ros import __version__
 from semiparam_ros.core.types import Array
 from semiparam_ros.diagnosis.data.recordings import without_pauses
 from semiparam_ros.diagnosis.diagnose import Diagnosis, Elsewhere
-from semiparam_ros.diagnosis.findings import Finding
+from semiparam_ros.diagnosis.evaluation import Evaluation
 from semiparam_ros.diagnosis.regression import Fit
 from semiparam_ros.diagnosis.residual.formula import Formula
 from semiparam_ros.diagnosis.residual.structure import Structure
 from semiparam_ros.diagnosis.text_report import next_step, rounded, table_rows, text_report, when
-from semiparam_ros.effects import effect_to_text
+from semiparam_ros.effects import Effect, effect_to_text
 from semiparam_ros.effects.base import place
 from semiparam_ros.report import diagnosis_figures as figures
 from semiparam_ros.report.diagnosis_figures import Suspicion, against_suspected, against_unexplained, suspicions
@@ -45,44 +45,6 @@ class OutputRow(NamedTuple):
     floor: float
 
 
-class RoundRow(NamedTuple):
-    """One round: what it added, and the held-out error that was left with its interval."""
-
-    number: int
-    added: str
-    nmse: float
-    low: float
-    high: float
-
-
-class ParameterRow(NamedTuple):
-    """A fitted number as text; ``std`` is empty where it was searched."""
-
-    name: str
-    value: str
-    std: str
-    unit: str
-
-
-class AlternativeRow(NamedTuple):
-    """Rival that would explain the same, and its odds against the cause that was added."""
-
-    name: str
-    odds: str
-    separated_by: str
-
-
-class CauseRow(NamedTuple):
-    """One finding for reading."""
-
-    name: str
-    since: str
-    evidence: float
-    parameters: list[ParameterRow]
-    alternatives: list[AlternativeRow]
-    separated_by: str
-
-
 def output_rows(diagnosis: Diagnosis) -> list[OutputRow]:
     """One row for each output."""
     body, before, after = diagnosis.first.body, diagnosis.before, diagnosis.after
@@ -102,29 +64,14 @@ def relative_floor(diagnosis: Diagnosis) -> Array:
     return np.asarray(diagnosis.noise_floor_rmse**2 / diagnosis.after.variance)
 
 
-def round_rows(diagnosis: Diagnosis) -> list[RoundRow]:
-    """The declared model, and then every round."""
-    named = [', '.join(place(effect.kind, effect.where) for effect in step.added)
-             for step in diagnosis.steps]
-    judged = [diagnosis.before, *diagnosis.by_step]
-    return [RoundRow(number, added, float(evaluation.nmse.mean()), *evaluation.interval())
-            for number, (added, evaluation) in enumerate(zip(['as declared', *named], judged, strict=True))]
+def rounds(diagnosis: Diagnosis) -> list[tuple[str, Evaluation]]:
+    """The declared model, and then every round: what it added, and the errors that were left."""
+    named = [', '.join(_named(effect) for effect in step.added) for step in diagnosis.steps]
+    return list(zip(['as declared', *named], [diagnosis.before, *diagnosis.by_step], strict=True))
 
 
-def causes(diagnosis: Diagnosis) -> list[CauseRow]:
-    """Findings with their numbers and their rivals."""
-    return [_cause(diagnosis, finding) for finding in diagnosis.findings]
-
-
-def _cause(diagnosis: Diagnosis, finding: Finding) -> CauseRow:
-    effect = finding.effect
-    since = when(diagnosis, effect, dated=False).removeprefix(', ') or 'from the beginning'
-    parameters = [ParameterRow(name, *rounded(quantity), quantity.unit.replace('^2', '²'))
-                  for name, quantity in finding.parameters.items()]
-    alternatives = [AlternativeRow(place(rival.effect.kind, rival.effect.where), odds_text(rival.odds),
-                                   rival.effect.separated_by) for rival in finding.rivals]
-    return CauseRow(place(effect.kind, effect.where), since, finding.log_evidence_gain, parameters,
-                 alternatives, effect.separated_by)
+def _named(effect: Effect) -> str:
+    return place(effect.kind, effect.where)
 
 
 def odds_text(odds: float) -> str:
@@ -154,6 +101,9 @@ def diagnosis_page(diagnosis: Diagnosis, variants: Mapping[str, VariantErrors], 
     :param variants: other models without and with the effects, where they were evaluated.
     :param title: name of the recording.
     """
+    def since(effect: Effect) -> str:
+        return when(diagnosis, effect, dated=False).removeprefix(', ') or 'from the beginning'
+
     opening, *words = text_report(diagnosis)
     structure = diagnosis.structure if diagnosis.structure and diagnosis.structure.significant else None
     return environment().get_template('diagnosis.html.j2').render(
@@ -161,12 +111,13 @@ def diagnosis_page(diagnosis: Diagnosis, variants: Mapping[str, VariantErrors], 
         summary=table_rows(diagnosis), next=next_step(diagnosis, written),
         headline=_headline(diagnosis), rows=output_rows(diagnosis),
         outputs=picture('Error of each output', 'outputs', figures.outputs_of(diagnosis), ''),
-        rounds=round_rows(diagnosis), over_time=_over_time(diagnosis),
+        rounds=rounds(diagnosis), over_time=_over_time(diagnosis),
         findings=[_against_variable(diagnosis, suspicion, number)
                   for number, suspicion in enumerate(suspicions(diagnosis))],
         structure=structure, unexplained=_unexplained(diagnosis.final, structure) if structure else None,
         formulas=_formulas(structure, diagnosis.config.declared_share) if structure else [],
-        spectra=_spectra(diagnosis), candidates=_candidates(diagnosis), causes=causes(diagnosis),
+        spectra=_spectra(diagnosis), candidates=_candidates(diagnosis), causes=diagnosis.findings,
+        named=_named, since=since, rounded=rounded, odds_text=odds_text,
         variants=variant_rows(variants), open=SHOWN_OPEN, facts=_facts(diagnosis),
         effects=[effect_to_text(effect) for effect in diagnosis.standing])
 
@@ -186,7 +137,7 @@ def _labels(diagnosis: Diagnosis) -> list[str]:
 def _over_time(diagnosis: Diagnosis) -> list[Picture]:
     """Residuals over time of the recording diagnosed, and of the one that judged, if another."""
     first, final, added = diagnosis.first, diagnosis.final, bool(diagnosis.steps)
-    changes = [(name + place(effect.kind, effect.where), time_s) for effect in diagnosis.everything.effects
+    changes = [(name + _named(effect), time_s) for effect in diagnosis.everything.effects
                if effect not in diagnosis.offsets
                for name, time_s in (('', effect.start_s), ('end of ', effect.end_s)) if time_s is not None]
     held_out = diagnosis.held_out if diagnosis.elsewhere is None else np.zeros(len(first.samples), dtype=bool)
@@ -214,7 +165,7 @@ def _over_time_elsewhere(diagnosis: Diagnosis, elsewhere: Elsewhere) -> Picture:
 
 
 def _against_variable(diagnosis: Diagnosis, suspicion: Suspicion, number: int) -> Picture:
-    names = ' and '.join(place(finding.effect.kind, finding.effect.where) for finding in suspicion.findings)
+    names = ' and '.join(_named(finding.effect) for finding in suspicion.findings)
     channel = diagnosis.first.body.output_names[suspicion.channel]
     return picture(names, f'variable{number}', against_suspected(diagnosis, suspicion),
                     f'Residual of {channel}, the output in which this shows most. Left: without it, and without what '
