@@ -19,15 +19,13 @@ from semiparam_ros.core.samples import Samples, variance
 from semiparam_ros.core.types import Array, Mask
 from semiparam_ros.core.variants import AVERAGED, VARIANTS
 from semiparam_ros.errors import SemiparamError
+from semiparam_ros.experiments.evaluation import TRANSIENT_S, normalised_errors
 from semiparam_ros.experiments.initial_window import Estimation, fitted_settings
 from semiparam_ros.experiments.parallel import run_all
 from semiparam_ros.online.model_jobs import known_of
 from semiparam_ros.settings import Settings
 from semiparam_ros.settings.build import build_estimator, hyperparameter_values, model_options
 
-SEEDLESS = 'P'  # it has no random features: one run says all
-
-TRANSIENT_S = 30.0
 EARLY_S = 60.0
 LEVELS = (0.5, 0.7, 0.8, 0.9, 0.95, 0.99)
 BAND = 0.95
@@ -63,7 +61,7 @@ class ComparisonScenario:
     def draws(self) -> list[tuple[str, int]]:
         """Variant and feature seed of every model that is learnt."""
         return [(variant, seed) for variant in self.variants
-                for seed in (self.seeds[:1] if variant == SEEDLESS else self.seeds)]
+                for seed in (self.seeds[:1] if variant == PARAMETRIC else self.seeds)]  # it draws no features
 
 
 def scenario_from(settings: Settings, train: LoadedBag, test: LoadedBag, *, subsets: int = 5,
@@ -283,7 +281,7 @@ def channel_groups(outputs: str) -> dict[str, slice]:
 def mode_figures(seeds: Sequence[Sequence[Trace]]) -> ModeFigures:
     """Errors and bands over the traces of all subsets, which ``seeds`` lists for each seed."""
     pooled = [Trace(*(np.concatenate(parts) for parts in zip(*traces, strict=True))) for traces in seeds]
-    ratios = np.array([_normalised(trace) for trace in pooled])
+    ratios = np.array([normalised_errors(trace.errors, trace.outputs)[0] for trace in pooled], dtype=float)
     covered = np.array([[_coverage(trace, level) for level in LEVELS] for trace in pooled])
     known = ~np.isnan(ratios).any(axis=0)
     channels = tuple(float(value) if ok else None for value, ok in zip(ratios.mean(axis=0), known, strict=True))
@@ -309,21 +307,15 @@ def interquartile_range(values: Array) -> float:
     return float(upper - lower)
 
 
-def _phase(series: Array, within: Mask, measure: Callable[[Array], float] | None = None) -> Spread | None:
+def _phase(series: Array, within: Mask, measure: Callable[[Array], float] = np.mean) -> Spread | None:
     if not within.any():
         return None
-    return _spread(np.array([(measure or np.mean)(row[within]) for row in series]))
+    return _spread(np.array([measure(row[within]) for row in series]))
 
 
 def _spread(values: Array) -> Spread:
     std = float(np.std(values, ddof=1)) if len(values) > 1 else None
     return Spread(float(np.mean(values)), std, tuple(float(value) for value in values))
-
-
-def _normalised(trace: Trace) -> Array:
-    """Mean squared error over variance (n,), NaN for a constant channel."""
-    square, spread = np.mean(trace.errors**2, axis=0), variance(trace.outputs)
-    return np.divide(square, spread, out=np.full_like(square, np.nan), where=spread > 0.0)
 
 
 def _coverage(trace: Trace, level: float) -> float:

@@ -10,7 +10,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, PercentFormatter
 
 from semiparam_ros.core.types import Array
-from semiparam_ros.experiments.comparison import EARLY_S, LEVELS, TRANSIENT_S, VariantFigures
+from semiparam_ros.experiments.comparison import EARLY_S, LEVELS, VariantFigures
+from semiparam_ros.experiments.evaluation import TRANSIENT_S
 from semiparam_ros.report.html import FAINT, INK, page_style
 
 # Families share a hue, validation sets are dashed; told apart without red and green.
