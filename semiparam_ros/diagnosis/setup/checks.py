@@ -19,6 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
+from scipy.sparse.csgraph import connected_components
 
 from semiparam_ros.core.columns import CoupledColumns, Memories
 from semiparam_ros.core.robot.rigid_body import RigidBody
@@ -275,7 +276,10 @@ def _other_belongings(joints: Sequence[str], samples: Samples, moving: Array,
         return
     order = np.arange(len(joints))
     order[moving] = order[moving][chosen]
-    for cycle in _cycles(order):
+    _, labels = connected_components(np.eye(len(order))[order])
+    for cycle in (np.flatnonzero(labels == label).tolist() for label in np.unique(labels)):
+        if len(cycle) == 1:  # the others change places among themselves
+            continue
         own = np.arange(len(joints))
         own[cycle] = order[cycle]
         names = listed([f"'{joints[joint]}'" for joint in cycle])
@@ -283,18 +287,6 @@ def _other_belongings(joints: Sequence[str], samples: Samples, moving: Array,
             f"The {those} of {names} belong to each other's {others}: they are swapped in the joint states; put them "
             'in the order of the names.')) for role, those, others in (('velocity', 'velocities', 'positions'),
                                                                       ('position', 'positions', 'velocities'))))
-
-
-def _cycles(order: Stamps) -> Iterator[list[int]]:
-    """The joints that change places among themselves."""
-    seen: set[int] = set()
-    for start in np.flatnonzero(order != np.arange(len(order))).tolist():
-        cycle = [start]
-        while (after := int(order[cycle[-1]])) != start:
-            cycle.append(after)
-        if start not in seen:
-            yield sorted(cycle)
-        seen |= set(cycle)
 
 
 def _opposite(joints: Sequence[str], joint: int) -> Belonging:
