@@ -35,11 +35,6 @@ class FrictionChange(NamedTuple):
     after: Fit
     net: float
 
-    @property
-    def sure(self) -> bool:
-        """Tell whether it may be told."""
-        return self.net > 0.0
-
     def sentence(self, names: Sequence[str]) -> str:
         """Sentence with the time, in the recording of that name, and the values."""
         fit, blocks = self.before, self.after.assembly.blocks
@@ -69,7 +64,7 @@ def friction_changes(fit: Fit, names: Sequence[str]) -> list[str]:
     joints = [joint for joint in fit.body.output_names if _rubbing(fit, joint)]
     while joints:
         best = max((_change(fit, joint) for joint in joints), key=lambda change: change.net)
-        if not best.sure:
+        if best.net <= 0.0:
             break
         sentences.append(best.sentence(names))
         joints.remove(best.joint)
