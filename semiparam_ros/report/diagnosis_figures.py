@@ -60,18 +60,14 @@ class Variable(NamedTuple):
 
 
 def suspected_variable(effect: Effect, fit: Fit, explained: Array, channel: int) -> Variable:
-    """The variable of an effect.
+    """The variable of an effect: of those that it shows against, the one that the explained part depends on most.
 
     :param fit: the fit of which it explains a part. :param explained: (N,) that part, in output ``channel``.
     """
     if effect.span != ALWAYS:
         return _time(fit)
-    return most_telling(VARIABLES[effect.shows_against](effect, fit, channel), explained)
-
-
-def most_telling(variables: list[Variable], explained: Array) -> Variable:
-    """The variable that ``explained`` (N,) depends on most."""
-    return max(variables, key=lambda variable: dependence(variable.values, explained))
+    return max(VARIABLES[effect.shows_against](effect, fit, channel),
+               key=lambda variable: dependence(variable.values, explained))
 
 
 def dependence(variable: Array, explained: Array) -> float:
