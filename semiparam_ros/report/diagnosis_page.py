@@ -182,8 +182,7 @@ def _unexplained(fit: Fit, structure: Structure) -> Picture:
 
 def _formulas(structure: Structure, least_share: float) -> list[tuple[Formula, str]]:
     """Formulas, each with the effect that declares it where it is worth declaring, else ''."""
-    worth = structure.declarable(least_share)
-    return [(formula, effect_to_text(formula.effect) if formula.effect in worth else '')
+    return [(formula, effect_to_text(formula.effect) if formula.share > least_share else '')
             for formula in structure.formulas]
 
 

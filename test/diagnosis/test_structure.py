@@ -185,7 +185,9 @@ def test_a_hidden_formula_is_found_again(formula, names):
     found = remaining_structure(leaving(samples, residual))
     assert found.significant and found.channels == ('fy',)
     assert {each.name for each in found.variables[:len(names)]} == names
-    left = signal[:, 1] - prediction(found.declarable(DEFAULTS.declared_share)[0], body, samples)
+    formula = found.formulas[0]
+    assert formula.share > DEFAULTS.declared_share
+    left = signal[:, 1] - prediction(formula.effect, body, samples)
     assert np.var(left) < 0.05 * np.var(signal[:, 1])
 
 

@@ -12,7 +12,6 @@ from semiparam_ros.diagnosis.regression import Fit
 from semiparam_ros.diagnosis.residual.flexible import StandardisedInputs, explained
 from semiparam_ros.diagnosis.residual.formula import Dependence, Formula, dependences, find_formula
 from semiparam_ros.diagnosis.residual.noise import coloured_noise, without_input_errors
-from semiparam_ros.effects.terms import Terms
 
 
 @dataclass(frozen=True)
@@ -32,10 +31,6 @@ class Structure:
     families: dict[str, float] = field(default_factory=dict)
     as_slow_noise: bool = False
     """Whether a function explains much, but no more than of noise that changes as slowly."""
-
-    def declarable(self, least_share: float) -> tuple[Terms, ...]:
-        """The formulas that explain more than a share of their channel's residual, as effects that can be declared."""
-        return tuple(formula.effect for formula in self.formulas if formula.share > least_share)
 
     @property
     def sentence(self) -> str:
