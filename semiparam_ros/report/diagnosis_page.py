@@ -109,7 +109,8 @@ def diagnosis_page(diagnosis: Diagnosis, variants: Mapping[str, VariantErrors], 
     return environment().get_template('diagnosis.html.j2').render(
         version=__version__, title=title, verdict=diagnosis.verdict, opening=opening, words=words,
         summary=table_rows(diagnosis), next=next_step(diagnosis, written),
-        headline=_headline(diagnosis), rows=output_rows(diagnosis),
+        before=diagnosis.before, after=diagnosis.after, floor=relative_floor(diagnosis).mean(),
+        rows=output_rows(diagnosis),
         outputs=picture('Error of each output', 'outputs', figures.outputs_of(diagnosis), ''),
         rounds=rounds(diagnosis), over_time=_over_time(diagnosis),
         findings=[_against_variable(diagnosis, suspicion, number)
@@ -120,13 +121,6 @@ def diagnosis_page(diagnosis: Diagnosis, variants: Mapping[str, VariantErrors], 
         named=_named, since=since, rounded=rounded, odds_text=odds_text,
         variants=variant_rows(variants), open=SHOWN_OPEN, facts=_facts(diagnosis),
         effects=[effect_to_text(effect) for effect in diagnosis.standing])
-
-
-def _headline(diagnosis: Diagnosis) -> dict[str, float]:
-    """The mean normalised errors that matter most."""
-    low, high = diagnosis.after.interval()
-    return {'before': diagnosis.before.nmse.mean(), 'after': diagnosis.after.nmse.mean(), 'low': low, 'high': high,
-            'floor': float(relative_floor(diagnosis).mean())}
 
 
 def _labels(diagnosis: Diagnosis) -> list[str]:
