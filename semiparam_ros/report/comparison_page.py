@@ -36,7 +36,7 @@ class Column(NamedTuple):
     detail: str
     get: Callable[[VariantFigures], Spread | None]
     percent: bool = False
-    best: Callable[..., float] | None = min
+    best: Callable[..., float] = min
 
 
 class Cell(NamedTuple):
@@ -67,7 +67,7 @@ def cells(comparison: Comparison, column: Column) -> dict[str, Cell]:
     """One cell for each variant."""
     figures = {variant: column.get(one) for variant, one in comparison.figures.items()}
     means = {variant: figure.mean for variant, figure in figures.items() if figure is not None}
-    best = column.best(means.values()) if column.best and len(means) > 1 else None
+    best = column.best(means.values()) if len(means) > 1 else None
     return {variant: Cell(_text(figure.mean, column.percent), _spread_text(figure, column.percent),
                           figure.mean == best) for variant, figure in figures.items() if figure is not None}
 
