@@ -25,7 +25,7 @@ from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
 from semiparam_ros.diagnosis.data.outliers import untouched
 from semiparam_ros.diagnosis.data.splits import block_sums
 from semiparam_ros.diagnosis.evaluation import EvaluationFigures, evaluate_here
-from semiparam_ros.diagnosis.findings import Quantity
+from semiparam_ros.diagnosis.findings import Quantity, quantities
 from semiparam_ros.diagnosis.preparation import Inputs, prepared, require_enough
 from semiparam_ros.diagnosis.regression import Fit, refit_weights, with_effects
 from semiparam_ros.diagnosis.search.moves import Move
@@ -300,5 +300,4 @@ def _parameters(best: Move, inputs: Inputs, samples: Samples) -> dict[str, Quant
     number = fit.effects.index(effect)
     block = fit.assembly.blocks[str(number)]
     told = estimates(fit, [number], inputs.disturbed(samples)).coefficients[:, block]
-    return {name: Quantity(value, std, unit) for (name, unit), (value, std) in zip(
-        effect.coefficients(fit.body), told.T.tolist(), strict=True)}
+    return quantities(effect.coefficients(fit.body), told)

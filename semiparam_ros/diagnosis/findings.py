@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from semiparam_ros.core.robot.rigid_body import RigidBody
+from semiparam_ros.core.types import Array
 from semiparam_ros.diagnosis.regression import Fit
 from semiparam_ros.diagnosis.search.score import worth
 from semiparam_ros.diagnosis.search.stepwise import Rival, Step
 from semiparam_ros.diagnosis.uncertainty import Estimates
 from semiparam_ros.effects import Effect
-from semiparam_ros.effects.base import Coefficient
 
 
 @dataclass(frozen=True)
@@ -92,15 +91,14 @@ def _index_in(fit: Fit, effect: Effect, taken: Collection[int]) -> int | None:
 
 
 def _parameters(fit: Fit, index: int, told: Estimates) -> dict[str, Quantity]:
-    effect = fit.effects[index]
-    coefficients = effect.coefficients(fit.body), told.coefficients[:, fit.assembly.blocks[str(index)]]
-    units = [Coefficient(name, effect.unit_of(name, fit.body)) for name, _ in effect.calibrations]
-    calibrations = units, told.calibrations.get(index, np.zeros((2, 0)))
-    return {coefficient.name: Quantity(value, std, coefficient.unit)
-            for names, estimated in (coefficients, calibrations)
-            for coefficient, (value, std) in zip(names, estimated.T.tolist(), strict=True)} | _searched(
-                effect, fit.body)
+    effect, body = fit.effects[index], fit.body
+    coefficients = quantities(effect.coefficients(body), told.coefficients[:, fit.assembly.blocks[str(index)]])
+    calibrations = [(name, effect.unit_of(name, body)) for name, _ in effect.calibrations]
+    searched = {name: Quantity(effect.value(name), None, effect.unit_of(name, body)) for name in effect.searched}
+    return coefficients | quantities(calibrations, told.calibrations.get(index, np.zeros((2, 0)))) | searched
 
 
-def _searched(effect: Effect, body: RigidBody) -> dict[str, Quantity]:
-    return {name: Quantity(effect.value(name), None, effect.unit_of(name, body)) for name in effect.searched}
+def quantities(named: Sequence[tuple[str, str]], told: Array) -> dict[str, Quantity]:
+    """Quantities by name, from names and units, and values with their deviations (2, c)."""
+    return {name: Quantity(value, std, unit)
+            for (name, unit), (value, std) in zip(named, told.T.tolist(), strict=True)}
