@@ -263,7 +263,7 @@ def _resists(fit: Fit, effect: Effect) -> bool:
     """Return whether what resists does so still: less friction is a change, friction that drives is none."""
     alike = [number for number, known in enumerate(fit.effects)
              if known.kind == effect.kind and known.where == effect.where and not known.ends]
-    return not effect.resists or sum(fit.theta[fit.assembly.blocks[str(number)]].sum() for number in alike) > 0.0
+    return not effect.resists or sum(fit.coefficients_of(number).sum() for number in alike) > 0.0
 
 
 def _near(fit: Fit, between_s: tuple[float, float]) -> tuple[float, float]:
@@ -279,8 +279,7 @@ def _over(fit: Fit, effect: Effect, since_s: tuple[float, float]) -> Move | None
     over = with_best_edge(with_effects(fit, kept), effect, 'end_s', _near(fit, since_s))
     after = refit_weights(
         with_effects(fit, [over if known is effect else known for known in fit.effects]))
-    block = after.assembly.blocks[str(after.effects.index(over))]
-    if effect.is_body and not over.physical(after.theta[block]):
+    if effect.is_body and not over.physical(after.coefficients_of(after.effects.index(over))):
         return None
     return Move.of((over,), fit, after, math.log(fit.config.start_grid), [float(over.end_s or since_s[1])])
 

@@ -37,10 +37,10 @@ class FrictionChange(NamedTuple):
 
     def sentence(self, names: Sequence[str]) -> str:
         """Sentence with the time, in the recording of that name, and the values."""
-        fit, blocks = self.before, self.after.assembly.blocks
+        fit = self.before
         numbers, last = [fit.effects.index(effect) for effect in self.effects], len(fit.effects)
         values = [words for place, (number, effect) in enumerate(zip(numbers, self.effects, strict=True)) for words in
-                  _values(fit, effect, *(self.after.theta[blocks[str(index)]] for index in (number, last + place)))]
+                  _values(fit, effect, *map(self.after.coefficients_of, (number, last + place)))]
         time_s, of = own_time(fit.samples, names, float(self.span.start_s or 0.0))
         channel = fit.body.output_names.index(self.joint)
         usual, less = (each.scale[channel] for each in (fit, self.after))

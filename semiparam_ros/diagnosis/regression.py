@@ -183,6 +183,10 @@ class Fit:
         """(p_psi,) base parameters."""
         return self.theta[:self.body.n_parameters]
 
+    def coefficients_of(self, number: int) -> Array:
+        """(c,) those of the effect with this number."""
+        return self.theta[self.assembly.blocks[str(number)]]
+
     @property
     def knows_mass(self) -> bool:
         """Return whether a mass is known that tells the gains of the outputs from all other masses."""

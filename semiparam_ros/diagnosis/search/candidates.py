@@ -119,9 +119,8 @@ def _shaped_load(fit: Fit, effects: list[Effect], body: RigidBody, inputs: Sampl
 
 def _of_effects(fit: Fit, body: RigidBody, inputs: Samples, loads: bool) -> Array:
     """(N, n, 1) outputs of the loads that the model holds, or of its other effects."""
-    blocks = fit.assembly.blocks
     outputs = np.zeros((len(inputs), body.n_outputs))
     for index, effect in enumerate(fit.effects):
         if effect.is_load == loads and not effect.is_calibration:
-            outputs += predicted(effect.columns(body, inputs, None)[0], fit.theta[blocks[str(index)]])
+            outputs += predicted(effect.columns(body, inputs, None)[0], fit.coefficients_of(index))
     return outputs[:, :, None]

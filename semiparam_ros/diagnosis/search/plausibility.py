@@ -29,9 +29,8 @@ def all_plausible(before: Fit, after: Fit) -> bool:
 def without_impossible(fit: Fit) -> Fit:
     """The model without effects whose coefficients their causes cannot have, but for those that were declared."""
     while True:
-        blocks = fit.assembly.blocks
         kept = [effect for index, effect in enumerate(fit.effects) if identity(effect) in fixed(fit)
-                or effect.is_calibration or effect.physical(fit.theta[blocks[str(index)]])]
+                or effect.is_calibration or effect.physical(fit.coefficients_of(index))]
         if len(kept) == len(fit.effects):
             return fit
         fit = declare(with_effects(fit, kept), [])

@@ -59,12 +59,12 @@ def points_of(fit: Fit) -> list[Shape]:
 
 def shape_columns(fit: Fit, shapes: list[Shape]) -> Array:
     """(N, n, len(shapes)) derivatives of the prediction by the values, at the fitted coefficients."""
-    blocks, slopes = fit.assembly.blocks, [np.zeros((*fit.residual.shape, 0))]
+    slopes = [np.zeros((*fit.residual.shape, 0))]
     for number, name, low, high in shapes:
         effect, step = fit.effects[number], DIFFERENCE * (high - low)
         ahead, behind = (_columns(fit, effect.with_values(**{name: effect.value(name) + change}))
                          for change in (step, -step))
-        slope = predicted(ahead - behind, fit.theta[blocks[str(number)]]) / (2.0 * step)
+        slope = predicted(ahead - behind, fit.coefficients_of(number)) / (2.0 * step)
         slopes.append(slope[:, :, None])
     return np.concatenate(slopes, axis=2)
 
@@ -102,8 +102,7 @@ def gauss_newton(fit: Fit, moving: Sequence[Effect], found: Collection[int] = ()
 
 def _possible(fit: Fit, found: Collection[int]) -> bool:
     """Return whether the effects with these numbers can have the values that they have."""
-    blocks = fit.assembly.blocks
-    return all(fit.effects[number].possible and fit.effects[number].physical(fit.theta[blocks[str(number)]])
+    return all(fit.effects[number].possible and fit.effects[number].physical(fit.coefficients_of(number))
                for number in found if not fit.effects[number].is_calibration)
 
 
@@ -203,9 +202,7 @@ def told_by_sliding(fit: Fit, effect: Effect) -> bool:
 
 def _relocated(fit: Fit) -> Fit:
     """The same model with every effect at the place that its coefficients tell, such as a load's nearest link."""
-    effects, blocks = list(fit.effects), fit.assembly.blocks
-    for index, effect in enumerate(effects):
-        effects[index] = effect.relocated(fit.body, fit.theta[blocks[str(index)]])
+    effects = [effect.relocated(fit.body, fit.coefficients_of(index)) for index, effect in enumerate(fit.effects)]
     return fit if effects == list(fit.effects) else with_effects(fit, effects)
 
 
