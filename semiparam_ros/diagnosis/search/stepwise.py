@@ -83,7 +83,7 @@ def search(fit: Fit, progress: Progress = lambda words, share: None,
     """
     steps: list[Step] = []
     for _ in range(fit.config.most_rounds):
-        step = _next_step(fit, steps, partial(_report, progress, len(steps) + 1))
+        step = _next_step(fit, steps, lambda words, share: progress(f'round {len(steps) + 1}: {words}', share))
         if step is None:
             shaped = reshaped(fit, fixed(fit)) if steps else fit
             if shaped is fit:
@@ -209,7 +209,3 @@ def _rivals(fit: Fit, chosen: Move, moves: Sequence[Move]) -> tuple[Rival, ...]:
             earlier = found.pop((effect.kind, effect.where), rival)
             found[effect.kind, effect.where] = max(rival, earlier, key=lambda each: each.odds)
     return tuple(found.values())
-
-
-def _report(progress: Progress, number: int, words: str, share: float) -> None:
-    progress(f'round {number}: {words}', share)
