@@ -113,13 +113,13 @@ def _slopes(fit: Fit, number: int) -> Array:
         effects[number] = moved_by(effects[number], step)
         return _read(fit, effects)
 
-    return np.column_stack(_differences(moved, len(fit.effects[number].calibrations)))
+    return _differences(moved, len(fit.effects[number].calibrations))
 
 
-def _differences(moved: Callable[[Array], Array], count: int) -> list[Array]:
-    """Central differences of a function by each of its ``count`` numbers, where all of them are zero."""
+def _differences(moved: Callable[[Array], Array], count: int) -> Array:
+    """(k, count) central differences of a function (k,) by each of its numbers, where all of them are zero."""
     steps = GAIN_STEP * np.eye(count)
-    return [(moved(step) - moved(-step)) / (2.0 * GAIN_STEP) for step in steps]
+    return np.column_stack([(moved(step) - moved(-step)) / (2.0 * GAIN_STEP) for step in steps])
 
 
 def _without_common_gain(effect: Effect) -> Array:
@@ -128,7 +128,7 @@ def _without_common_gain(effect: Effect) -> Array:
     def moved(step: Array) -> Array:
         return calibrated_values(moved_by(effect, step).without_common_gain())
 
-    return np.column_stack(_differences(moved, len(effect.calibrations)))
+    return _differences(moved, len(effect.calibrations))
 
 
 def _further(fit: Fit, calibrated: Sequence[int], shapes: list[Shape]) -> list[Array]:
