@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
@@ -127,10 +128,9 @@ class Trace(NamedTuple):
 
 
 class TrainedModel(NamedTuple):
-    """State and settings that let a model go on from where the first recording left it."""
+    """State and settings, with its variant and its seed, that let a model go on from where the first recording left it.
+    """
 
-    variant: str
-    seed: int
     settings: Settings
     state: EstimatorState
 
@@ -147,9 +147,6 @@ class Learnt(NamedTuple):
 class SubsetRun(NamedTuple):
     """Traces of a learnt model on one subset of the second recording."""
 
-    variant: str
-    seed: int
-    subset: int
     adaptive: Trace  # predict, then learn
     frozen: Trace  # predict only
 
@@ -171,8 +168,7 @@ def learn(scenario: ComparisonScenario, variant: str, seed: int) -> Learnt:
         run_through(estimator, scenario.train[:initial], learning=True)
     estimator.clear_horizons()
     trace = run_through(estimator, scenario.train[initial:], learning=True)
-    model = TrainedModel(variant, seed, settings, estimator.state())
-    return Learnt(model, hyperparameters, seconds, trace)
+    return Learnt(TrainedModel(settings, estimator.state()), hyperparameters, seconds, trace)
 
 
 def _averaged_after(scenario: ComparisonScenario, settings: Settings, initial: Samples) -> tuple[Settings, Estimator]:
@@ -197,7 +193,7 @@ def follow(scenario: ComparisonScenario, model: TrainedModel, subset: int) -> Su
         estimator.restore(model.state)
         estimator.begin_recording(samples.origin, int(samples.stamps[0]))  # which may be hours later
         traces.append(run_through(estimator, samples, learning))
-    return SubsetRun(model.variant, model.seed, subset, *traces)
+    return SubsetRun(*traces)
 
 
 def run_through(estimator: Estimator, samples: Samples, learning: bool) -> Trace:
@@ -258,16 +254,16 @@ class VariantFigures:
     fit_seconds: float
 
 
-def figures_of(outputs: str, learnt: Sequence[Learnt], followed: Sequence[SubsetRun]) -> VariantFigures:
-    """Gather the runs of one variant. :param outputs: 'wrench' or 'effort'."""
-    seeds = tuple(one.model.seed for one in learnt)
-    by_seed = [sorted((run for run in followed if run.seed == seed), key=lambda run: run.subset) for seed in seeds]
-    adaptive = [[run.adaptive for run in runs] for runs in by_seed]
-    frozen = [[run.frozen for run in runs] for runs in by_seed]
+def figures_of(outputs: str, followed: Sequence[tuple[Learnt, Sequence[SubsetRun]]]) -> VariantFigures:
+    """Gather the models of one variant, each with its runs on all subsets. :param outputs: 'wrench' or 'effort'."""
+    learnt = [one for one, _ in followed]
+    seeds = tuple(one.model.settings.features_seed for one in learnt)
+    adaptive = [[run.adaptive for run in runs] for _, runs in followed]
+    frozen = [[run.frozen for run in runs] for _, runs in followed]
     indices = {name: index_figures(adaptive, channels) for name, channels in channel_groups(outputs).items()}
     first = mode_figures([[one.trace] for one in learnt])
-    return VariantFigures(learnt[0].model.variant, seeds, first, mode_figures(adaptive), mode_figures(frozen), indices,
-                          tuple(one.hyperparameters for one in learnt),
+    return VariantFigures(learnt[0].model.settings.variant, seeds, first, mode_figures(adaptive), mode_figures(frozen),
+                          indices, tuple(one.hyperparameters for one in learnt),
                           float(np.mean([one.fit_seconds for one in learnt])))
 
 
@@ -463,9 +459,9 @@ def steps(scenario: ComparisonScenario) -> int:
 def compare(scenario: ComparisonScenario, done: Callable[[], None] = lambda: None) -> Comparison:
     """Run the scenario, as many pieces at a time as the surrounding :func:`parallel.workers` has."""
     learnt = run_all(learn, [(scenario, *draw) for draw in scenario.draws()], done)
-    pieces = [(scenario, one.model, subset) for one in learnt for subset in range(len(scenario.subsets))]
-    followed = run_all(follow, pieces, done)
-    figures = {variant: figures_of(scenario.settings.outputs, [one for one in learnt if one.model.variant == variant],
-                                   [one for one in followed if one.variant == variant])
-               for variant in scenario.variants}
+    subsets = range(len(scenario.subsets))
+    runs = iter(run_all(follow, [(scenario, one.model, subset) for one in learnt for subset in subsets], done))
+    followed = [(one, list(islice(runs, len(subsets)))) for one in learnt]
+    figures = {variant: figures_of(scenario.settings.outputs, [
+        each for each in followed if each[0].model.settings.variant == variant]) for variant in scenario.variants}
     return Comparison(scenario, figures, findings_of(figures))

@@ -22,7 +22,7 @@ def followed(made, start_s, since_s):
         estimator.step(sample)
     later = replace(samples, origin=samples.origin - round(since_s * 1e9))
     scenario = ComparisonScenario(settings, samples, later, made.urdf, ((0, 60),), ('P',), (0,))
-    return follow(scenario, TrainedModel('P', 0, settings, estimator.state()), 0).adaptive
+    return follow(scenario, TrainedModel(settings, estimator.state()), 0).adaptive
 
 
 def test_a_subset_hours_after_the_start_of_its_recording_is_at_its_own_time():

@@ -1,6 +1,7 @@
 """The comparison page in a real browser: no error in its console, nothing fetched, light and dark."""
 
 import functools
+from dataclasses import replace
 
 import numpy as np
 
@@ -43,12 +44,12 @@ def comparison(outputs='wrench', seeds=SEEDS):
     figures = {}
     for level, variant in enumerate(VARIANTS, start=1):
         own = [trace(rng, 0.01 * level, outputs=n) for _ in seeds]
-        learnt = [Learnt(TrainedModel(variant, seed, settings, {}),
+        learnt = [Learnt(TrainedModel(replace(settings, variant=variant, features_seed=seed), {}),
                          Hyperparameters(0.1, 1.0, (1.0, 2.0, 3.0), 0.1, (1.0,) * n, None, 0.3, 20.0), 1.5, run)
                   for seed, run in zip(seeds, own, strict=True)]
-        followed = [SubsetRun(variant, seed, subset, trace(rng, 0.01 * level, outputs=n), trace(rng, 0.02, outputs=n))
-                    for seed in seeds for subset in (0, 1)]
-        figures[variant] = figures_of(outputs, learnt, followed)
+        followed = [[SubsetRun(trace(rng, 0.01 * level, outputs=n), trace(rng, 0.02, outputs=n)) for _ in (0, 1)]
+                    for _ in seeds]
+        figures[variant] = figures_of(outputs, list(zip(learnt, followed, strict=True)))
     return Comparison(scenario, figures, findings_of(figures))
 
 
