@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from itertools import islice
 from typing import Literal, TypedDict
 
 import numpy as np
@@ -54,17 +55,16 @@ def evaluate_variants(settings: Settings, diagnosis: Diagnosis, variants: Sequen
     :param jobs: how many to learn at a time.
     :param progress: called with the number of models learnt, and of all.
     """
-    body, effects = diagnosis.first.body, (diagnosis.first.effects, diagnosis.final.effects)
-    keys = [(variant, label, draw) for variant in variants for label in (0, 1) for draw in range(_draws(variant))]
+    body, models = diagnosis.first.body, (diagnosis.first, diagnosis.final)
     calls = [(replace(settings, variant=variant, features_seed=settings.features_seed + draw), body, diagnosis.recorded,
-              effects[label])
-             for variant, label, draw in keys]
+              model.effects)
+             for variant in variants for model in models for draw in range(_draws(variant))]
     done = iter(range(1, len(calls) + 1))
     with workers(jobs):
-        evaluations = dict(zip(keys, run_all(_judge, calls, lambda: progress(next(done), len(calls))), strict=True))
+        evaluations = iter(run_all(_judge, calls, lambda: progress(next(done), len(calls))))
     judged: dict[str, VariantErrors] = {}
     for variant in variants:
-        before, after = ([evaluations[variant, label, draw] for draw in range(_draws(variant))] for label in (0, 1))
+        before, after = (list(islice(evaluations, _draws(variant))) for _ in models)
         judged[variant] = {'before': mean_of(before), 'after': mean_of(after),
                            'draws': {'before': [one['nmse_mean'] for one in before],
                                      'after': [one['nmse_mean'] for one in after]}}
