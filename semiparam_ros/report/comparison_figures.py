@@ -48,7 +48,8 @@ def boxes(figures: Mapping[str, VariantFigures]) -> Figure:
         figure = Figure(figsize=(PANEL[0], 3.0))
         panels = np.atleast_1d(figure.subplots(1, len(names)))
         for name, panel in zip(names, panels, strict=True):
-            values = [_late(one, name) for one in figures.values()]
+            indices = [one.indices[name] for one in figures.values()]
+            values = [index.series[:, index.time >= TRANSIENT_S].ravel() for index in indices]
             drawn = panel.boxplot(values, whis=(5, 95), showfliers=False, widths=0.6, patch_artist=True,
                                   tick_labels=list(figures), medianprops={'color': INK, 'linewidth': 1.4})
             for variant, box in zip(figures, drawn['boxes'], strict=True):
@@ -123,11 +124,6 @@ def _course(time: Array, values: Array) -> tuple[Array, Array]:
     smooth, centre = np.convolve(values, kernel, 'valid'), np.convolve(time, kernel, 'valid')
     step = max(1, len(smooth) // MOST_POINTS)
     return centre[::step], smooth[::step]
-
-
-def _late(one: VariantFigures, name: str) -> Array:
-    index = one.indices[name]
-    return np.asarray(index.series[:, index.time >= TRANSIENT_S].ravel())
 
 
 def _mark_phases(panel: Axes) -> None:
