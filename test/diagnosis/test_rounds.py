@@ -429,7 +429,7 @@ def test_what_was_found_gives_way_to_a_rival_that_more_knowledge_tells_from_it()
     [swap], [back] = swapping_moves(wrong, [(force, load)]), swapping_moves(right, [(load, force)])
     assert [effect.kind for effect in swap.after.effects] == ['payload'] and swap.good and not back.good
     assert swap.price == pytest.approx(-back.price)
-    step = Step(added=(force,), rivals=(Rival(force, 0.1), Rival(load, 1.0)), ranking=(), before=start,
+    step = Step(added=(force,), rivals=(Rival(load.without_span(), 0.1), Rival(load, 1.0)), ranking=(), before=start,
                 after=wrong)
     assert _rivalries(wrong, [step]) == [(force, load)] and _rivalries(right, [step]) == []
 
