@@ -60,8 +60,7 @@ class ColumnBlock:
     of_sensor: ClassVar[bool] = False
     """Mark of a cause that changes only what the sensor shows, not what the arm needs."""
     is_load: ClassVar[bool] = False
-    """Mark of a carried body: its coefficients are ten inertial parameters in the link's frame, and
-    what shapes psi shapes its columns too."""
+    """Mark of a carried body: its coefficients are ten inertial parameters in the link's frame."""
 
     def check(self, body: RigidBody) -> None:
         """Raise SemiparamError when the effect cannot be declared on this robot."""
@@ -102,6 +101,11 @@ class ColumnBlock:
     def columns(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[Array, Memory]:
         """(N, n, c) further columns."""
         return np.zeros((len(samples), body.n_outputs, len(self.prior_scale(body)))), None
+
+    def on_links(self, body: RigidBody) -> bool:
+        """Tell whether it acts on the links, as a carried body and a force do: what shapes psi shapes
+        its columns too."""
+        return self.is_load
 
     def acts(self, stamp: int, origin: int) -> bool:
         """Tell whether it acts at a stamp [ns], by its start and its end; ``origin`` [ns] is where
@@ -366,16 +370,22 @@ class CoupledColumns:
 
     def _of_effect(self, index: int, body: RigidBody, inputs: Samples, memory: Memory) -> tuple[Array, Memory]:
         effect, count = self.effects[index], len(self._effect_scales[index])
-        columns, remembered = effect.columns(body, inputs, memory)
+        columns, remembered = self.beside(effect, body, inputs, memory)
         if columns.shape[1:] != (body.n_outputs, count):
             raise SemiparamError(f"effect '{effect.kind}' gives columns of shape "
                                  f'{columns.shape[1:]}; expected {(body.n_outputs, count)}, one for each of '
                                  'its coefficients.')
-        return self._shaped(body, columns) if effect.is_load else columns, remembered
+        return columns, remembered
+
+    def beside(self, effect: ColumnBlock, body: RigidBody, inputs: Samples, memory: Memory) -> tuple[Array, Memory]:
+        """(N, n, c) columns of an effect, declared or not, as those that are declared shape them, and what it remembers
+        after them."""
+        columns, remembered = effect.columns(body, inputs, memory)
+        return self._shaped(body, columns) if effect.on_links(body) else columns, remembered
 
     def _shaped(self, body: RigidBody, columns: Array) -> Array:
-        """Columns (N, n, c) of bodies as the effects shape them: a gain of the efforts multiplies
-        all of these."""
+        """Columns (N, n, c) of bodies and of forces on them as the effects shape them: a gain of the
+        efforts multiplies all of these."""
         for effect in self._shaping:
             columns = effect.transform(body, columns)
         return columns

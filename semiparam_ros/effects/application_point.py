@@ -39,6 +39,9 @@ class AtPoint(Effect):
     def at_joint(self, body: RigidBody) -> bool:
         return False
 
+    def on_links(self, body: RigidBody) -> bool:
+        return not self.at_joint(body)
+
     def conceivable(self, body: RigidBody, coefficients: Array) -> bool:
         """Tell whether it may be so, the point no farther from the link than the arm is long."""
         lever = float(np.linalg.norm([self.value(axis) for axis in POINT]))

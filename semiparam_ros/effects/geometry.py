@@ -85,6 +85,9 @@ class _SmallTurn(Effect):
         """Return no place: in a whole recording the calibration of the same cause is searched."""
         return ()
 
+    def on_links(self, body: RigidBody) -> bool:
+        return True
+
     def conceivable(self, body: RigidBody, coefficients: Array) -> bool:
         return float(np.abs(coefficients).max()) < MOST_TURN
 

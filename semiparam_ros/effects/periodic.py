@@ -47,6 +47,9 @@ class PeriodicDisturbance(Effect):
     def at_joint(self, body: RigidBody) -> bool:
         return self.where in _own_axes(body)
 
+    def on_links(self, body: RigidBody) -> bool:
+        return not self.at_joint(body)
+
     def desired(self) -> Absent:
         """Return its mean over all phases, zero: the phase at that time is not known."""
         return Absent(self)

@@ -15,9 +15,10 @@ from itertools import permutations, product
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from semiparam_ros.core.columns import CoupledColumns
-from semiparam_ros.core.robot.frames import nearest_link
+from semiparam_ros.core.robot.frames import nearest_link, observed_links
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.robot.small_turns import SmallTurns
 from semiparam_ros.core.samples import Sample, Samples
@@ -916,6 +917,39 @@ def test_a_turn_that_comes_adds_what_its_calibration_changes(outputs):
     state = MOTION.position[7], MOTION.velocity[7], MOTION.acceleration[7]
     one = SmallTurns(body).one(*state, reference)
     assert one == pytest.approx(np.stack(columns[-2:] + columns[:-2], axis=-1)[7], abs=1e-5 * np.abs(one).max())
+
+
+@pytest.mark.parametrize('kind', ['external_force', 'cable_spring', 'periodic_disturbance', 'base_shift', 'zero_slip'])
+@pytest.mark.parametrize('outputs', BODIES)
+def test_a_gain_or_a_turn_of_what_measures_holds_for_all_that_acts_on_the_links(outputs, kind):
+    """As for a load: forces, and what turns add, reach the sensor or the motors as the weights of links do."""
+    body = BODIES[outputs]
+    found = kinds(outputs)[kind]
+    where = {'base_shift': None, 'zero_slip': body.joints[-1]}.get(kind, observed_links(body)[-1])
+    if outputs == 'wrench':
+        turn, gains = np.array([0.1, -0.2, 0.05]), np.array([1.2, 1.0, 1.0, 1.0, 0.9, 1.0])
+        texts = ['sensor_misalignment{"rotation_x": 0.1, "rotation_y": -0.2, "rotation_z": 0.05}',
+                 'sensor_gain{"gain_fx": 0.2, "gain_ty": -0.1}']
+        measured = np.diag(gains) @ np.kron(np.eye(2), Rotation.from_rotvec(-turn).as_matrix())
+    else:
+        texts = ['effort_gain@turn{"gain": 0.3}', 'common_gain{"gain": 0.2}']
+        measured = 1.2 * np.diag([1.3 if joint == 'turn' else 1.0 for joint in body.output_names])
+    effect = found.from_values(where, {'frequency_hz': 1.0} if kind == 'periodic_disturbance' else {})
+    alone, beside = ([effect], [*(effect_from_text(text) for text in texts), effect])
+    columns = [CoupledColumns(body, effects).batch(MOTION)[0][:, :, -len(effect.coefficients(body)):]
+               for effects in (alone, beside)]
+    np.testing.assert_allclose(columns[1], measured @ columns[0], rtol=1e-9, atol=1e-9)
+
+
+def test_a_force_is_borne_by_the_motor_of_a_coupled_gear():
+    body = BODIES['effort']
+    force, coupling = effect_from_text('external_force@tool'), effect_from_text('gear_coupling@elbow{"ratio": 0.3}')
+    assembly = CoupledColumns(body, [force, coupling])
+    state = np.random.default_rng(0).normal(size=(3, body.n_joints))
+    _, motion, moved = assembly.as_it_is(tuple(state))
+    columns, _ = assembly.one(Sample(0, *state, np.zeros(body.n_outputs)), 0)
+    plain, _ = CoupledColumns(body, [force]).one(Sample(0, *motion, np.zeros(body.n_outputs)), 0)
+    np.testing.assert_allclose(columns[:, -3:], moved @ plain[:, -3:], atol=1e-12)
 
 
 def test_the_gain_that_all_channels_share_is_no_finding():

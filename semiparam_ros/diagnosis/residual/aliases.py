@@ -25,7 +25,7 @@ def _likeliest(fit: Fit, recorded: Samples, number: int) -> Effect:
     options = effect.alike(fit.samples)
     if len(options) == 1:
         return effect
-    own = predicted(effect.columns(*fit.corrected, None)[0], fit.coefficients_of(number))
+    own = predicted(fit.assembly.of_effect(number, *fit.corrected), fit.coefficients_of(number))
     rows = _in_use(fit, len(recorded))
     rest, some = fit.samples.outputs - fit.residual - own, recorded[rows]
     left = some.outputs - np.column_stack([np.interp(some.time, fit.samples.time, each) for each in rest.T])

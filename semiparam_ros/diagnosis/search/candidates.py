@@ -68,7 +68,7 @@ def added_columns(fit: Fit, effect: Effect) -> Array:
         if key not in fit.asked:
             fit.asked[key] = _derivatives(fit, effect)
         return np.asarray(fit.asked[key])
-    return effect.columns(*fit.corrected, None)[0]
+    return fit.assembly.beside(effect, *fit.corrected, None)[0]
 
 
 def _derivatives(fit: Fit, effect: Effect) -> Array:
@@ -118,9 +118,9 @@ def _shaped_load(fit: Fit, effects: list[Effect], body: RigidBody, inputs: Sampl
 
 
 def _of_effects(fit: Fit, body: RigidBody, inputs: Samples, loads: bool) -> Array:
-    """(N, n, 1) outputs of the loads that the model holds, or of its other effects."""
+    """(N, n, 1) outputs of what acts on the links in the model, as loads do, or of its other effects."""
     outputs = np.zeros((len(inputs), body.n_outputs))
     for index, effect in enumerate(fit.effects):
-        if effect.is_load == loads and not effect.is_calibration:
+        if effect.on_links(body) == loads and not effect.is_calibration:
             outputs += predicted(effect.columns(body, inputs, None)[0], fit.coefficients_of(index))
     return outputs[:, :, None]

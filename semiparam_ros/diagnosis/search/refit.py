@@ -70,7 +70,7 @@ def shape_columns(fit: Fit, shapes: list[Shape]) -> Array:
 
 
 def _columns(fit: Fit, effect: Effect) -> Array:
-    return effect.columns(*fit.corrected, None)[0]
+    return fit.assembly.beside(effect, *fit.corrected, None)[0]
 
 
 def gauss_newton(fit: Fit, moving: Sequence[Effect], found: Collection[int] = ()) -> Fit:
