@@ -191,11 +191,12 @@ def load_bags(paths: Sequence[Path], settings: Settings, most: Callable[[float],
 
 def _without_tools(bag: LoadedBag, settings: Settings) -> LoadedBag:
     from semiparam_ros.core.robot.tools import Tools
-    from semiparam_ros.settings.build import build_rigid_body
+    from semiparam_ros.settings.build import build_rigid_body, declared_effects
 
     body, samples = build_rigid_body(replace(settings, joints=bag.joints), bag.robot_description), bag.samples
-    of_tools = body.outputs_of(samples, Tools(body, settings.tools).parameters)
-    return bag._replace(samples=replace(samples, outputs=samples.outputs - of_tools))
+    tools = Tools(body, settings.tools)
+    tools.shaped_by(declared_effects(settings))
+    return bag._replace(samples=replace(samples, outputs=samples.outputs - tools.outputs_of(samples)))
 
 
 def evaluate(settings: Settings, training: Sequence[LoadedBag], bags: Sequence[LoadedBag], frozen: bool,

@@ -206,8 +206,9 @@ class Learner:
         if self.tare.active:
             sample = sample._replace(outputs=sample.outputs - self.tare.bias)
         measured = sample.outputs
-        sample, of_tools = self.tools.taken_off(sample)
+        self.tools.shaped_by(self.estimator.columns.effects)
         self.changes.applied.shaped_by(self.estimator.columns.effects)
+        sample, of_tools = self.tools.taken_off(sample)
         sample, of_changes = self.changes.applied.taken_off(sample)
         prediction = self._predict(sample, measured)
         if prediction is None:
@@ -283,13 +284,16 @@ class Learner:
         applied = self.changes.applied
         if not (self.tools.texts or applied.acts):
             return None
-        of_tools = self.tools.outputs(position, velocity, acceleration)
-        shown, needed = applied.desired(position, velocity, acceleration)
-        return of_tools + shown, of_tools + needed
+        self.tools.shaped_by(self.estimator.columns.effects)
+        shown, needed = (of_tools + of_changes for of_tools, of_changes in zip(
+            self.tools.desired(position, velocity, acceleration),
+            applied.desired(position, velocity, acceleration), strict=True))
+        return shown, needed
 
     def clear_pending(self) -> None:
         """Forget half-finished horizons after a jump of the clock; the models stay."""
         self.gate.reset()
+        self.tools.reset()
         self.changes.reset()
         self.switcher.clear_pending()
         self.estimator.clear_pending()

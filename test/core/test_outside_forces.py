@@ -6,18 +6,21 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import pytest
+from scipy.spatial.transform import Rotation
 
 from semiparam_ros.core.robot.contact_place import ContactPlace
 from semiparam_ros.core.robot.external_wrench import ExternalWrench, push_wrench
 from semiparam_ros.core.robot.frames import force_maps, last_link
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.robot.tools import Tools, tool_from_text
-from semiparam_ros.core.samples import Sample
+from semiparam_ros.core.samples import Sample, Samples
+from semiparam_ros.effects import effect_from_text
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online.compensation import bodies_and_bias
 from semiparam_ros.online.desired_state import described
 from semiparam_ros.settings.build import build_estimator, build_rigid_body
 from support.arms import joint, link
+from support.learner_stage import Stage
 from support.node_helpers import BODY, SETTINGS, URDF, motion
 
 TOOL = {'mass': 0.7, 'centre': [0.01, -0.02, 0.15], 'inertia': [4e-3, 1e-4, -2e-4, 5e-3, 3e-4, 3e-3]}
@@ -177,6 +180,44 @@ def test_a_tool_adds_what_a_description_with_it_has_more(text, outputs):
         wanted = heavier.regressor(*state) @ heavier.base_parameters - bare.regressor(*state) @ bare.base_parameters
         np.testing.assert_allclose(tools.outputs(*state), wanted, atol=1e-9)
     assert np.allclose(Tools(bare, [text, f'- {TEXT}']).parameters, 0.0)
+
+
+@pytest.mark.parametrize('outputs', ['wrench', 'effort'])
+def test_a_tool_is_measured_by_a_turned_sensor_or_a_wrong_gain_and_hangs_on_a_tilted_base_as_links_do(outputs):
+    """What was taken off was that of a perfect sensor on a level base: the rest was learnt as something else."""
+    settings = replace(SETTINGS, outputs=outputs, sensor_frame='ft' if outputs == 'wrench' else '')
+    with_tool = URDF.replace('</robot>', SNIPPET.replace('<link name="ft"/>', '', 1) + '</robot>')
+    bare, heavier = build_rigid_body(settings), build_rigid_body(replace(settings, robot_description=with_tool))
+    tilt, zero = Rotation.from_rotvec([0.1, 0.05, 0.0]).inv().apply([0.0, 0.0, -9.81]), np.array([0.0, 0.2])
+    texts = ['gravity_tilt{"tilt_x": 0.1, "tilt_y": 0.05}', 'joint_offset@b{"offset": 0.2}']
+    if outputs == 'wrench':
+        texts.append('sensor_misalignment{"rotation_z": 0.3}')
+        measured = np.kron(np.eye(2), Rotation.from_rotvec([0.0, 0.0, -0.3]).as_matrix())
+    else:
+        texts.append('effort_gain@b{"gain": 0.3}')
+        measured = np.diag([1.0, 1.3])
+    tools = Tools(bare, [TEXT])
+    tools.shaped_by([effect_from_text(each) for each in texts])
+    samples = Samples.from_list(motion(50, body=bare))
+    for sample, of_recording in zip(samples, tools.outputs_of(samples), strict=True):
+        state = sample.position + zero, sample.velocity, sample.acceleration
+        true = np.subtract(*(each.with_gravity(tilt).full_regressor(*state) @ each.inertial_parameters
+                             for each in (heavier, bare)))
+        np.testing.assert_allclose(tools.taken_off(sample)[1], measured @ true, atol=1e-9)
+        np.testing.assert_allclose(of_recording, measured @ true, atol=1e-9)
+        shown, needed = tools.desired(*sample[1:4])
+        np.testing.assert_allclose(shown, measured @ true, atol=1e-9)
+        np.testing.assert_allclose(needed, true if outputs == 'wrench' else measured @ true, atol=1e-9)
+
+
+def test_a_learner_takes_a_known_tool_off_as_its_sensor_shows_it():
+    settings = replace(SETTINGS, tools=(TEXT,), effects=('sensor_misalignment{"rotation_z": 0.3}',))
+    stage, sample = Stage(settings), motion(1)[0]
+    load = Tools(BODY, [TEXT]).outputs(*sample[1:4])
+    turned = np.kron(np.eye(2), Rotation.from_rotvec([0.0, 0.0, -0.3]).as_matrix())
+    bare = build_estimator(replace(settings, tools=())).predict(sample)
+    stage.learner.offer(sample)
+    np.testing.assert_allclose(stage.answers[-1].prediction.mean - bare.mean, turned @ load, atol=1e-9)
 
 
 @pytest.mark.parametrize(('text', 'sentence'), [

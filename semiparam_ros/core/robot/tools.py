@@ -2,23 +2,25 @@
 
 A body at a link adds psi(x) pi to the outputs, with the regressor psi of the robot (``rigid_body``) and base parameters
 pi that follow from its mass, first moment and inertia. So a tool that is mounted, or taken off, at some moment is a
-vector that the learner takes off the outputs from then on; the model never sees the tool.
+vector that the learner takes off the outputs from then on; the model never sees the tool. Effects that are declared
+correct psi and shape it for a tool as for the links: the wrench of a turned sensor is turned whatever hangs on it.
 """
 
 from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import pinocchio as pin
 
 from semiparam_ros.core import json_text
+from semiparam_ros.core.columns import ColumnBlock, CoupledColumns, Memories, Memory
 from semiparam_ros.core.robot import urdf as urdf_tree
-from semiparam_ros.core.robot.frames import load_in_arm, load_in_base
+from semiparam_ros.core.robot.frames import load_in_arm, load_in_base, load_regressor
 from semiparam_ros.core.robot.rigid_body import RigidBody, build
-from semiparam_ros.core.samples import Sample
+from semiparam_ros.core.samples import Sample, Samples
 from semiparam_ros.core.types import Array
 from semiparam_ros.errors import SemiparamError
 
@@ -38,6 +40,24 @@ class Tool(NamedTuple):
     parameters: Array
 
 
+class _Carried(ColumnBlock):
+    """Tools as one column, whose coefficient is 1."""
+
+    is_load: ClassVar[bool] = True
+
+    def __init__(self, tools: Sequence[Tool]) -> None:
+        self._tools = tuple(tools)
+
+    def prior_scale(self, body: RigidBody) -> Array:
+        """(1,) of a coefficient that nothing learns."""
+        return np.ones(1)
+
+    def columns(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[Array, Memory]:
+        """(N, n, 1) what all of them add."""
+        added = sum(load_regressor(body, samples, tool.link) @ tool.parameters for tool in self._tools)
+        return np.asarray(added)[:, :, None], None
+
+
 class Tools:
     """All that are declared on a robot, by their texts; see :func:`tool_from_text`.
 
@@ -49,20 +69,55 @@ class Tools:
         self._body, self.texts = body, tuple(texts)
         self.parameters: Array = np.zeros(body.n_parameters)
         self._in_arm: Array = np.zeros(10 * (body.arm.njoints - 1))
-        for text in texts:
-            tool = tool_from_text(text)
+        self._tools = tuple(tool_from_text(text) for text in texts)
+        self._declared: Sequence[ColumnBlock] = ()
+        self._shaped: CoupledColumns | None = None
+        """Their column as declared effects correct and shape it; None where these do neither."""
+        self._memory: Memories = None
+        for tool in self._tools:
             self.parameters += load_in_base(body, tool.link, tool.parameters)
             self._in_arm = self._in_arm + load_in_arm(body, tool.link, tool.parameters)
+
+    def shaped_by(self, declared: Sequence[ColumnBlock]) -> None:
+        """Let what they add be corrected and shaped by these effects, as the columns of the model are."""
+        if declared is self._declared:
+            return
+        shaping = [effect for effect in declared if not effect.only_adds]
+        self._declared, self._memory = declared, None
+        self._shaped = CoupledColumns(self._body, [*shaping, _Carried(self._tools)]) \
+            if shaping and self._tools else None
+
+    def reset(self) -> None:
+        """Forget what effects remember, as after a jump of the clock."""
+        self._memory = None
 
     def taken_off(self, sample: Sample) -> tuple[Sample, Array | None]:
         """The sample without what they add to its outputs (n,), and that; None where there are none."""
         if not self.texts:
             return sample, None
-        added = self.outputs(sample.position, sample.velocity, sample.acceleration)
+        if self._shaped is None:
+            added = self.outputs(sample.position, sample.velocity, sample.acceleration)
+        else:
+            columns, self._memory = self._shaped.one(sample, 0, self._memory)
+            added = columns[:, -1]
         return sample._replace(outputs=sample.outputs - added), added
 
+    def outputs_of(self, samples: Samples) -> Array:
+        """(N, n) what they add to a recording."""
+        if self._shaped is None:
+            return self._body.outputs_of(samples, self.parameters)
+        return self._shaped.batch(samples)[0][:, :, -1]
+
+    def desired(self, position: Array, velocity: Array, acceleration: Array) -> tuple[Array, Array]:
+        """(n,) what they add to a desired state (n_joints,), as the sensor shows it, and as the arm needs it."""
+        if self._shaped is None:
+            added = self.outputs(position, velocity, acceleration)
+            return added, added
+        shown, needed = self._shaped.desired(position, velocity, acceleration, now=0, origin=0)
+        return shown[:, -1], needed[:, -1]
+
     def outputs(self, position: Array, velocity: Array, acceleration: Array) -> Array:
-        """(n,) what they add at a state (n_joints,)."""
+        """(n,) what they add at a true state (n_joints,), where nothing shapes it."""
         return np.asarray(self._body.regressor(position, velocity, acceleration) @ self.parameters)
 
     def beyond_sensor(self, position: Array, velocity: Array, acceleration: Array) -> Array | None:
