@@ -900,6 +900,36 @@ def test_a_delay_of_many_samples_is_followed_as_they_come(delay_s):
         effect.with_values(delay_s=absurd).correct(BODIES['effort'], samples, None)
 
 
+@pytest.mark.parametrize('backwards', [False, True])
+@pytest.mark.parametrize(('outputs', 'texts'), [
+    ('wrench', ('sensor_misalignment{"rotation_x": 0.1, "rotation_y": -0.2, "rotation_z": 0.05}',
+                'sensor_gain{"gain_fx": 0.2, "gain_ty": -0.1}', 'external_force@r_gripper')),
+    ('effort', ('gear_coupling@turn{"ratio": 0.3}', 'gear_coupling@elbow{"ratio": 0.2}',
+                'effort_gain@turn{"gain": 0.3}', 'joint_offset@turn{"offset": 0.1}', 'external_force@tool'))])
+def test_derivatives_by_calibrations_are_those_of_the_model_in_the_order_in_which_they_are_declared(
+        outputs, texts, backwards):
+    """That of a turned sensor held for gains that come before the turn: it was off by a fifth."""
+    body, effects = BODIES[outputs], [effect_from_text(text) for text in (texts[::-1] if backwards else texts)]
+    rng, everything = np.random.default_rng(0), np.ones(len(MOTION), dtype=bool)
+    measured = body.regressors(MOTION) @ body.base_parameters + 0.01 * rng.normal(size=(len(MOTION), body.n_outputs))
+    fit = fit_model(body, replace(MOTION, outputs=measured), effects, everything, np.ones(body.n_outputs))
+
+    def prediction(changed: list[Effect]) -> np.ndarray:
+        assembly = CoupledColumns(body, changed)
+        force = next(index for index, effect in enumerate(changed) if effect.kind == 'external_force')
+        columns, _ = assembly.batch(fit.samples)
+        return columns[:, :, :body.n_parameters] @ fit.rigid_part \
+            + columns[:, :, assembly.blocks[str(force)]] @ fit.theta[fit.assembly.blocks[str(force)]]
+
+    for index, effect in enumerate(effects):
+        for number, (name, _) in enumerate(effect.calibrations):
+            ahead, behind = (prediction([*effects[:index], effect.with_values(**{name: effect.value(name) + step}),
+                                         *effects[index + 1:]]) for step in (1e-5, -1e-5))
+            expected = (ahead - behind) / 2e-5
+            np.testing.assert_allclose(added_columns(fit, effect)[..., number], expected,
+                                       atol=1e-4 * np.abs(expected).max())
+
+
 @pytest.mark.parametrize('outputs', BODIES)
 def test_a_turn_that_comes_adds_what_its_calibration_changes(outputs):
     """To first order, and the same of one state as of many."""

@@ -72,15 +72,17 @@ def added_columns(fit: Fit, effect: Effect) -> Array:
 
 
 def _derivatives(fit: Fit, effect: Effect) -> Array:
-    """(N, n, c) central differences of the prediction by the calibrations, where they are."""
-    rest = others(fit, effect)  # without what the effect has shaped already
+    """(N, n, c) central differences of the prediction by the calibrations, where they are, in the order declared."""
+    declared = [identity(known) for known in fit.effects]
+    place = declared.index(identity(effect)) if identity(effect) in declared else len(declared)
+    before, after = fit.effects[:place], fit.effects[place + 1:]
     still = type(effect).correct is Effect.correct
-    load = _shaped_load(fit, rest, *_corrected(fit, rest)) if still else None
+    load = _load(fit, *_corrected(fit, [*before, *after])) if still else None
 
     def prediction(name: str, step: float) -> Array:
-        moved = effect.with_values(**{name: effect.value(name) + step})
-        return moved.transform(fit.body, load) if load is not None else \
-            _prediction(fit, [*rest, moved], effect.moves_friction)
+        effects = [*before, effect.with_values(**{name: effect.value(name) + step}), *after]
+        return _prediction(fit, effects, effect.moves_friction) if load is None else \
+            _shaped(effects, fit.body, load)
 
     step = DERIVATIVE_STEP
     return np.concatenate([(prediction(name, step) - prediction(name, -step)) / (2.0 * step)
@@ -96,7 +98,7 @@ def _prediction(fit: Fit, effects: list[Effect], whole: bool) -> Array:
     """(N, n, 1) outputs of the rigid body and of what it carries, as the effects correct and shape
     it, or of the whole model: late efforts bring late friction with them."""
     body, inputs = _corrected(fit, effects)
-    load = _shaped_load(fit, effects, body, inputs)
+    load = _shaped(effects, body, _load(fit, body, inputs))
     return load + _of_effects(fit, body, inputs, loads=False) if whole else load
 
 
@@ -110,8 +112,11 @@ def _corrected(fit: Fit, effects: list[Effect]) -> tuple[RigidBody, Samples]:
     return body, inputs
 
 
-def _shaped_load(fit: Fit, effects: list[Effect], body: RigidBody, inputs: Samples) -> Array:
-    load = body.outputs_of(inputs, fit.rigid_part)[:, :, None] + _of_effects(fit, body, inputs, loads=True)
+def _load(fit: Fit, body: RigidBody, inputs: Samples) -> Array:
+    return body.outputs_of(inputs, fit.rigid_part)[:, :, None] + _of_effects(fit, body, inputs, loads=True)
+
+
+def _shaped(effects: list[Effect], body: RigidBody, load: Array) -> Array:
     for effect in shaping_order(effects):
         load = effect.transform(body, load)
     return load
