@@ -223,7 +223,9 @@ def evaluate(settings: Settings, training: Sequence[LoadedBag], bags: Sequence[L
     offline.finish(training, frozen)
     scores = VariantScores(settings.outputs)
     if wrenches is not None:
-        offline.on_answer = _writer_of(wrenches, ExternalWrench(offline.estimator.body, settings.external_wrench_frame))
+        external = ExternalWrench(offline.estimator.body, settings.external_wrench_frame)
+        external.shaped_by(offline.estimator.columns.effects)
+        offline.on_answer = _writer_of(wrenches, external)
     for bag in bags:
         offline.take(bag, scores, settings.learning and not frozen)
     if not len(scores):

@@ -93,6 +93,31 @@ def test_a_wrench_at_the_last_link_is_found_from_efforts_and_from_a_wrench(seed)
         np.testing.assert_array_equal(at_sensor.wrench, -sensor.sign * residual)
 
 
+def test_a_wrench_is_told_as_it_is_where_a_gain_or_a_zero_is_wrong():
+    """Too small a gain of a motor made a push too weak, and turned it."""
+    state = np.random.default_rng(0).uniform(0.3, 0.9, (3, 7))
+    wrench, body = np.array([20.0, -15.0, 10.0, 1.0, -2.0, 0.5]), arm('effort')
+    true, link = (state[0] + 0.3 * np.eye(7)[2], *state[1:]), last_link(body)
+    residual = efforts_against(body, true, link, wrench) - efforts_against(body, true, link, np.zeros(6))
+    residual[4] *= 0.7
+    external = ExternalWrench(body)
+    external.shaped_by([effect_from_text('effort_gain@j4{"gain": -0.3}'),
+                        effect_from_text('joint_offset@j2{"offset": 0.3}')])
+    found = external.of(Leaves(state[0], np.full(7, 1e-4)), residual, ONE)
+    np.testing.assert_allclose(found.wrench, wrench, atol=0.02)
+
+
+@pytest.mark.parametrize('convention', ['action', 'reaction'])
+def test_a_wrench_is_told_as_it_is_where_the_sensor_is_turned_in_its_mount(convention):
+    wrench, body = np.array([20.0, -15.0, 10.0, 1.0, -2.0, 0.5]), arm('wrench', convention)
+    external, leaves = ExternalWrench(body), Leaves(np.zeros(7), np.linspace(0.1, 0.2, 6))
+    external.shaped_by([effect_from_text('sensor_misalignment{"rotation_y": 0.2}')])
+    turn = np.kron(np.eye(2), Rotation.from_rotvec([0.0, 0.2, 0.0]).as_matrix())
+    found = external.of(leaves, -body.sign * turn.T @ wrench, ONE)
+    np.testing.assert_allclose(found.wrench, wrench, atol=1e-9)
+    np.testing.assert_allclose(found.covariance, turn @ leaves.model_covariance @ turn.T, atol=1e-12)
+
+
 @pytest.mark.parametrize('outputs', ['wrench', 'effort'])
 def test_a_push_that_the_wandering_offset_took_is_within_the_deviation(outputs):
     """A push of 20 N was told as 0 with 5 N, half a second after it began."""

@@ -10,21 +10,25 @@ frame's Jacobian, -J(q)'. Then
     F = L A' (A L A' + R)^-1 r,     covariance = L - L A' (A L A' + R)^-1 A L
 
 damped least squares with the forces L that people and tables bring about, and the covariance R of the prediction.
-Without a contact gate R holds b b' too: what the offset b that wanders took may be a push. A direction that the
-outputs do not feel, as of a singular or a short arm, is zero and keeps the deviation of L.
+Without a contact gate R holds b b' too: what the offset b that wanders took may be a push. Declared effects correct and
+shape A as they do the columns of a load: where too little of an effort is measured, so it is of a push. A direction
+that the outputs do not feel, as of a singular or a short arm, is zero and keeps the deviation of L.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 import pinocchio as pin
 
+from semiparam_ros.core.columns import ColumnBlock, CoupledColumns, Memory
 from semiparam_ros.core.prediction import Prediction
 from semiparam_ros.core.robot.frames import as_matrix, frame_index, last_link, observed_links, unfelt
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.robot.size import push_force
+from semiparam_ros.core.samples import Sample, Samples
 from semiparam_ros.core.types import Array
 
 LEVER_M = 0.1
@@ -51,6 +55,26 @@ class External(NamedTuple):
         return np.sqrt(np.maximum(self.covariance.diagonal(), 0.0))
 
 
+class _Pushed(ColumnBlock):
+    """Unit forces and couples as six columns.
+
+    :param maps: (n, 6) of them at positions (n_joints,).
+    """
+
+    is_load: ClassVar[bool] = True
+
+    def __init__(self, maps: Callable[[Array], Array]) -> None:
+        self._maps = maps
+
+    def prior_scale(self, body: RigidBody) -> Array:
+        """(6,) of coefficients that nothing learns."""
+        return np.ones(6)
+
+    def columns(self, body: RigidBody, samples: Samples, memory: Memory) -> tuple[Array, Memory]:
+        """(N, n, 6)"""
+        return np.array([self._maps(position) for position in samples.position]), None
+
+
 class ExternalWrench:
     """Outside wrench on one robot, at one frame.
 
@@ -67,6 +91,17 @@ class ExternalWrench:
             raise unfelt(self.frame, body)
         self._at_sensor = at_sensor
         self._expected = push_wrench(body) ** 2
+        self._declared: Sequence[ColumnBlock] = ()
+        self._shaped: CoupledColumns | None = None
+        """A as declared effects correct and shape it; None where these do neither."""
+
+    def shaped_by(self, declared: Sequence[ColumnBlock]) -> None:
+        """Let A be corrected and shaped by these effects, as the columns of the model are."""
+        if declared is self._declared:
+            return
+        shaping = [effect for effect in declared if not effect.only_adds]
+        self._declared = declared
+        self._shaped = CoupledColumns(self._body, [*shaping, _Pushed(self.outputs_of)]) if shaping else None
 
     def outputs_of(self, position: Array) -> Array:
         """(n, 6) A: outputs caused by unit forces and couples along the frame's axes, at positions (n_joints,)."""
@@ -96,9 +131,12 @@ class ExternalWrench:
         :param followed: (n,) what the wandering offset took that may be a push.
         """
         noise = prediction.model_covariance * np.outer(widening, widening) + np.outer(followed, followed)
-        if self._at_sensor:
+        if self._at_sensor and self._shaped is None:
             return External(-self._body.sign * residual, noise)
-        maps = self.outputs_of(prediction.sample.position)
+        maps = self._maps_at(prediction.sample)
+        if self._at_sensor:
+            true = np.linalg.pinv(maps)
+            return External(true @ residual, true @ noise @ true.T)
         spread = maps * self._expected
         whole = spread @ maps.T + noise
         try:
@@ -106,6 +144,12 @@ class ExternalWrench:
         except np.linalg.LinAlgError:  # beside a glitch of 1e9 N doubles hold nothing else
             gain = spread.T @ np.linalg.pinv(whole, hermitian=True)
         return External(gain @ residual, np.diag(self._expected) - gain @ spread)
+
+    def _maps_at(self, sample: Sample) -> Array:
+        """(n, 6) A at a sample."""
+        if self._shaped is None:
+            return self.outputs_of(sample.position)
+        return self._shaped.one(sample, 0)[0][:, -6:]
 
     def unseen(self, external: External) -> str:
         """The direction of which least was measured, in words; '' where all were."""

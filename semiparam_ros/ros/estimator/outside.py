@@ -68,6 +68,7 @@ class Outside:
         frame = learner.settings.external_wrench_frame
         if self._external is None or frame != self._of_frame:
             self._external, self._of_frame = ExternalWrench(learner.body, frame), frame
+        self._external.shaped_by(learner.estimator.columns.effects)
         return self._external.of(answer.prediction, answer.residual, learner.gate.widening, answer.followed)
 
     def _frame_name(self) -> str:
