@@ -264,7 +264,7 @@ class Estimator:
         stamp = observed.sample.stamp
         self.origin, self._newest = self._origin_at(stamp), stamp
         self._memory, self.motion = observed.memory, observed.motion
-        self._temperature = observed.sample.temperature
+        self._temperature = np.array(observed.sample.temperature)  # a caller may fill his anew
 
     @property
     def window_full(self) -> bool:

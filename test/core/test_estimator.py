@@ -247,6 +247,18 @@ def test_a_caller_may_fill_the_same_arrays_with_every_sample(arm):
         assert one.motion.is_news
 
 
+def test_a_temperature_that_was_learnt_stays_where_a_caller_fills_its_array_anew(arm):
+    """A saved state had that of a later sample, and so had desired states."""
+    drift = effect_from_text('temperature_drift{"reference_c": 20}')
+    model, reused = Estimator(arm, ModelOptions('P'), [drift]), np.array([30.0])
+    sample = next(iter(smooth_motion(4, 1)))
+    model.step(sample._replace(outputs=np.ones(6), temperature=reused))
+    saved, desired = model.state(), model.predict_desired(*sample[1:4]).shown
+    reused[:] = 90.0
+    np.testing.assert_array_equal(saved.temperature, [30.0])
+    np.testing.assert_array_equal(model.predict_desired(*sample[1:4]).shown, desired)
+
+
 def test_horizons_start_with_the_variant_and_again_after_a_jump_of_the_clock(trained, recording):
     _, predictions = trained
     known = [prediction.horizon is not None for prediction in predictions]
