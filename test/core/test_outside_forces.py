@@ -306,6 +306,22 @@ def test_desired_efforts_of_joints_beyond_the_sensor_carry_the_tools_too(joints,
     assert Tools(BODY, [TEXT]).beyond_sensor(*np.zeros((3, 2))) is None
 
 
+def test_torques_of_tools_beyond_the_sensor_are_those_of_joints_as_they_are_on_a_tilted_base():
+    """As of all else that is told of a desired state; they were those of a perfect zero on a level base."""
+    strong = chain().replace('effort="9"', 'effort="900"')
+    settings = replace(SETTINGS, robot_description=strong, joints=JOINTS, sensor_frame='sensor')
+    bare, heavy = (build_rigid_body(replace(settings, robot_description=each)) for each in (strong, strong.replace(
+        '</robot>', SNIPPET.replace('<link name="ft"/>', '', 1).replace('"ft"', '"tip"') + '</robot>')))
+    tools, state = Tools(bare, [TEXT.replace('ft', 'tip', 1)]), np.random.default_rng(1).normal(0, 1.0, (3, 7))
+    tools.shaped_by([effect_from_text(text)
+                     for text in ('joint_offset@j5{"offset": 0.3}', 'gravity_tilt{"tilt_x": 0.2}')])
+    tilt = Rotation.from_rotvec([0.2, 0.0, 0.0]).inv().apply([0.0, 0.0, -9.81])
+    models = [each.with_gravity(tilt).arm for each in (heavy, bare)]
+    true = state[0] + 0.3 * np.eye(7)[5], state[1], state[2]
+    wanted = np.subtract(*(pin.rnea(model, model.createData(), *true)[bare.arm_columns] for model in models))
+    np.testing.assert_allclose(tools.beyond_sensor(*state)[bare.beyond_sensor], wanted[bare.beyond_sensor], atol=1e-9)
+
+
 def test_a_declared_load_that_acts_and_a_sensors_drift_are_part_of_what_is_taken_off():
     settings = replace(SETTINGS, variant='P', effects=('payload@ft{"start_s": 1.0}', 'sensor_drift'))
     estimator, samples = build_estimator(settings), motion(200)

@@ -126,12 +126,16 @@ class Tools:
         body = self._body
         if not self.texts or not len(body.beyond_sensor):
             return None
-        vectors = (body.arm_vector(values) for values in (position, velocity, acceleration))
+        motion, moved = (position, velocity, acceleration), np.eye(body.n_joints)
+        true = None if self._shaped is None else self._shaped.as_it_is(motion)
+        if true is not None:
+            body, motion, moved = true
+        vectors = (body.arm_vector(values) for values in motion)
         rows = pin.computeJointTorqueRegressor(body.arm, body.arm.createData(), *vectors)
         whole = np.atleast_1d(rows @ self._in_arm)  # of one joint it is a vector
         torques = np.zeros(body.n_joints)
         torques[body.beyond_sensor] = whole[body.arm_columns[body.beyond_sensor]]
-        return torques
+        return np.asarray(moved @ torques)
 
 
 def tool_from_text(text: str) -> Tool:
