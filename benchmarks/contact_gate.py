@@ -35,7 +35,8 @@ from semiparam_ros.bags.loading import load_samples
 from semiparam_ros.core.samples import Sample
 from semiparam_ros.core.signals.differentiation import CausalDifferentiator
 from semiparam_ros.core.types import Array
-from semiparam_ros.online.contact_gate import BLOCK_S, SPEEDS, ContactGate
+from semiparam_ros.online.contact_gate import ContactGate
+from semiparam_ros.online.usual_peaks import BLOCK_S, SPEEDS
 from semiparam_ros.settings import Settings, load_params
 from semiparam_ros.settings.build import build_estimator
 from semiparam_ros.settings.robot_description import moving_joints, robot_description
