@@ -8,7 +8,7 @@ import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import yaml
 
@@ -26,10 +26,19 @@ NO_REMARKS: Mapping[str, Sequence[Sequence[str]]] = {}
 
 
 class Loader(yaml.SafeLoader):
-    """PyYAML takes 1e-7 for a text, ROS for a number; so do we."""
+    """PyYAML takes 1e-7, 1.5e3, 08, inf and y for texts, ROS for numbers and a truth; so do we."""
+
+    bool_values: ClassVar[dict[str, bool]] = {**yaml.SafeLoader.bool_values, 'y': True, 'n': False}
 
 
-Loader.add_implicit_resolver('tag:yaml.org,2002:float', re.compile(r'^[-+]?\d+[eE][-+]?\d+$'), list('-+0123456789'))
+class Dumper(yaml.SafeDumper):
+    """Dumper that quotes the texts which without quotes are none to ROS."""
+
+
+for _kind in (Loader, Dumper):
+    _kind.add_implicit_resolver('tag:yaml.org,2002:float', re.compile(
+        r'^[-+]?((\d+\.?\d*|\.\d+)[eE][-+]?\d+|0\d*[89]\d*|(?i:inf|infinity|nan))$'), list('-+.0123456789iInN'))
+    _kind.add_implicit_resolver('tag:yaml.org,2002:bool', re.compile('^[yYnN]$'), list('yYnN'))
 
 
 def load_params(path: str | Path | None, node: str = 'estimator') -> Settings:
@@ -154,7 +163,7 @@ def _items(items: Sequence[str], remarks: Sequence[Sequence[str]], indent: str) 
 def _scalar(value: object) -> str:
     """One value on one line, as YAML and as ROS reads it."""
     flow = list(value) if isinstance(value, tuple) else value
-    text = yaml.safe_dump(flow, default_flow_style=True, width=2**31, allow_unicode=True)
+    text = yaml.dump(flow, Dumper=Dumper, default_flow_style=True, width=2**31, allow_unicode=True)
     return text.removesuffix('...\n').strip()
 
 

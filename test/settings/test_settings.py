@@ -61,6 +61,24 @@ def test_any_value_survives_a_file(tmp_path_factory, doubles, text):
     assert load_params(path) == settings
 
 
+@pytest.mark.parametrize('word', ['y', 'N', 'on', '1e1', '1.5e3', '.5e1', '08', '7', 'nan', '-Inf'])
+def test_a_word_is_a_text_in_quotes_alone_as_in_ros(tmp_path, word):
+    """rcl takes each of them for a number or a truth without quotes, and refuses a list of them among texts."""
+    path, settings = tmp_path / 'p.yaml', WRENCH.changed({'joints': ['x', word], 'external_wrench.frame': word})
+    dump_params(settings, path)
+    assert load_params(path) == settings
+    write(path, f'estimator: {{ros__parameters: {{sensor_frame: ft, joints: [x, {word}]}}}}')
+    with pytest.raises(SemiparamError, match='joints mixes types'):
+        load_params(path)
+
+
+@pytest.mark.parametrize('number', ['1.5e3', '1500', '.15e4', '1.5E+3', '15.e2'])
+def test_a_number_is_read_in_every_spelling_that_ros_reads(tmp_path, number):
+    text = f'estimator: {{ros__parameters: {{sensor_frame: ft, gate.timeout: {number}}}}}'
+    path = write(tmp_path / 'p.yaml', text)
+    assert load_params(path).gate_timeout == 1500.0
+
+
 def test_unknown_name_is_answered_with_the_nearest_and_the_file(tmp_path):
     path = write(tmp_path / 'p.yaml', 'estimator: {ros__parameters: {sensor_frame: ft, features: {cuont: 200}}}')
     with pytest.raises(SemiparamError, match=r"p.yaml: there is no parameter 'features.cuont'.*'features.count'"):
