@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import zipfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -28,21 +28,23 @@ def holds_arrays(path: Path) -> bool:
     return path.suffix.lower() in SUFFIXES or is_table_folder(path)
 
 
-def array_lines(path: Path) -> Cells:
+def array_lines(path: Path, asked: Iterable[str] = ()) -> Cells:
     """A header line of names, then a line of cells for each sample, as a text table would have them.
+
+    :param asked: columns that are read: their arrays tell which side the samples run along.
 
     An array of several columns gives NAME:1, NAME:2 and so on. Raises SemiparamError where nothing can be read.
     """
-    columns = _columns(_arrays(path), repr(str(path)))
+    columns = _columns(_arrays(path), repr(str(path)), asked)
     yield 1, list(columns)
     for number, row in enumerate(zip(*(values.tolist() for values in columns.values()), strict=True), 2):
         yield number, [repr(value) for value in row]
 
 
-def raise_unmatched(path: Path, column: str) -> None:
+def raise_unmatched(path: Path, column: str, asked: Iterable[str]) -> None:
     """Raise SemiparamError where a column is of an array that is left out because its rows do not match the others'."""
     arrays = _arrays(path)
-    columns = _columns(arrays, repr(str(path)))
+    columns = _columns(arrays, repr(str(path)), asked)
     count = len(next(iter(columns.values())))
     for name in (column, column.rpartition(':')[0]):
         shape = np.shape(arrays[name]) if name in arrays else ()
@@ -112,13 +114,14 @@ def _fields(values: Mapping[str, Any], within: str = '') -> Iterator[tuple[str, 
             yield within + name, value
 
 
-def _columns(arrays: Mapping[str, Any], where: str) -> dict[str, np.ndarray[Any, Any]]:
-    """Columns (N,) by name. Samples run along the longer side that most arrays share."""
+def _columns(arrays: Mapping[str, Any], where: str, asked: Iterable[str]) -> dict[str, np.ndarray[Any, Any]]:
+    """Columns (N,) by name. Samples run along the longer side that most arrays share, of those that are asked for."""
     numeric = {name: np.atleast_1d(np.squeeze(values)) for name, values in arrays.items()
                if isinstance(values, np.ndarray) and values.dtype.kind in 'iuf'}
     numeric = {name: values.astype(float) if values.dtype.itemsize > 8 else values for name, values in numeric.items()
                if values.ndim <= 2 and values.size > 1}
-    lengths = [max(values.shape) for values in numeric.values()]
+    wanted = {name for column in asked for name in (column, column.rpartition(':')[0])} & numeric.keys()
+    lengths = [max(numeric[name].shape) for name in wanted or numeric]
     if not lengths:
         raise SemiparamError(f'{where} holds no arrays of numbers; expected one for each quantity, a row a sample.')
     count = max(set(lengths), key=lambda length: (lengths.count(length), length))

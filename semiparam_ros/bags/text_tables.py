@@ -310,7 +310,8 @@ def read_rows(path: str | os.PathLike[str], layout: TableLayout,
     """The rows of a table. Blank lines and those that begin with # or % are passed by; names may stand in line 1."""
     name = repr(str(path))
     arrays = holds_arrays(Path(path))
-    numbers = array_lines(Path(path)) if arrays else text_lines(Path(path), progress)
+    asked = [str(column) for columns in layout.columns.values() for column in columns]
+    numbers = array_lines(Path(path), asked) if arrays else text_lines(Path(path), progress)
     lines = list(islice(numbers, 2))
     if not lines:
         return
@@ -319,7 +320,7 @@ def read_rows(path: str | os.PathLike[str], layout: TableLayout,
     unknown = [column for columns in layout.columns.values() for column in columns
                if isinstance(column, str) and column not in header]
     if unknown and arrays:
-        raise_unmatched(Path(path), unknown[0])
+        raise_unmatched(Path(path), unknown[0], asked)
     layout = layout.checked()
     indices = {role: [_index(str(column) if arrays and str(column) in header else column, header, name)
                       for column in columns]

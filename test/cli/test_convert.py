@@ -325,6 +325,15 @@ def test_ranges_of_an_array_and_rows_that_do_not_match(form, tmp_path, capsys):
             '--position', f'{within}q', '--effort', within + columns)
 
 
+def test_arrays_that_nobody_asked_for_do_not_tell_where_samples_run(tmp_path):
+    """Limits of the joints outvoted them: two rows were written, one of each joint, whose columns were the samples."""
+    limits = {name: np.array([1.0, 2.0]) for name in ('q_min', 'q_max', 'dq_max', 'current_max')}
+    path, bag = saved_arrays(tmp_path, quantities() | limits, 'npz'), tmp_path / 'out.mcap'
+    assert convert(path, bag, '--joints', 'hip,knee', '--rate', '100', '--position', 'q:1-2',
+                   '--effort', 'current:1-2') == 0
+    np.testing.assert_array_equal([state.data.position for state in messages(bag, '/joint_states')], quantities()['q'])
+
+
 HUGE = b"{'descr': '<f8', 'fortran_order': False, 'shape': (%d,)}"
 
 
