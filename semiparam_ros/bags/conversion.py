@@ -80,16 +80,21 @@ class Edits:
             if wanted and type_name not in types:
                 raise SemiparamError(f'{path!r}: {what} are to change, but no topic that is taken holds {type_name}.')
 
-    def check_joints(self, path: str, names: Sequence[str]) -> None:
-        """Raise SemiparamError where a joint is to change that is not among those of the bag."""
+    def check_joints(self, path: str, names: Sequence[str], driven: Sequence[str]) -> None:
+        """Raise SemiparamError where a joint is to change that is not among those of the bag, or an effort that is not.
+
+        :param driven: names of those joints that have efforts.
+        """
         for old in self.joints:
             if not any(name == old or _starred(name, old) is not None for name in names):
                 raise SemiparamError(f'{path!r} has no joint {old!r} to rename; it has {listed(names)}.')
-        known = [renamed(name, self.joints) for name in names]
+        if self.effort_sign != 1.0 and not driven:
+            raise SemiparamError(f'{path!r}: efforts are to change, but its joint states hold none.')
+        known = [renamed(name, self.joints) for name in driven]
         for name in self.effort_factors:
             if name not in known:
-                raise SemiparamError(f'effort_factors names {name!r}; expected some of the joints in {path!r}: '
-                                     f'{listed(known)}.')
+                raise SemiparamError(f'effort_factors names {name!r}, of which there is no effort; expected some of '
+                                     f'the joints in {path!r}: {listed(known)}.')
 
 
 def renamed(name: str, names: Mapping[str, str]) -> str:
@@ -133,7 +138,7 @@ def convert_bag(source: BagReader, edits: Edits, bag: BagWriter, robot_descripti
     copied, changed = ({topic for topic in chosen if edits.concern(source.topics[topic].type) is concern}
                        for concern in (False, True))
     counts = dict.fromkeys(chosen, 0)
-    joints: set[str] = set()
+    joints, driven = set[str](), set[str]()
     # What is copied need not decode.
     messages = source.messages(chosen.keys(), decode=changed)
     for number, message in enumerate(messages, 1):
@@ -144,13 +149,13 @@ def convert_bag(source: BagReader, edits: Edits, bag: BagWriter, robot_descripti
             raw = with_stamp(message.raw, message.log_time) if stamped else message.raw
             bag.write_raw(topic, raw, message.log_time, message.publish_time)
         else:
-            bag.write(topic, message.type, _edited(source, edits, message, joints), message.log_time,
+            bag.write(topic, message.type, _edited(source, edits, message, joints, driven), message.log_time,
                       message.publish_time)
         if number % 1000 == 0:
             progress(number)
     if chosen and not any(counts.values()) and source.losses and any(source.topics[old].count for old in chosen):
         raise SemiparamError(source.losses.sentence)
-    edits.check_joints(str(source.path), sorted(joints))
+    edits.check_joints(str(source.path), sorted(joints), sorted(driven))
     return counts
 
 
@@ -170,11 +175,17 @@ def _add_topics(source: BagReader, edits: Edits, chosen: Mapping[str, str], bag:
     edits.check_types(str(source.path), {source.topics[topic].type for topic in chosen})
 
 
-def _edited(source: BagReader, edits: Edits, message: Message, joints: set[str]) -> object:
-    """The changed data of a message; ``joints`` receives the names that a joint state had."""
+def _edited(source: BagReader, edits: Edits, message: Message, joints: set[str], driven: set[str]) -> object:
+    """The changed data of a message; ``joints`` receives the names that it had, ``driven`` those with an effort."""
+    data = message.data
     try:
         if message.type == _JOINT_STATE:
-            joints.update(message.data.name)
+            joints.update(data.name)
+            driven.update(data.name[:len(data.effort)])
+        elif message.type == _TRAJECTORY:
+            joints.update(data.joint_names)
+        elif message.type == _TEMPERATURE:
+            joints.add(data.header.frame_id)
         return edits.apply(message)
     except (AttributeError, TypeError) as error:
         raise SemiparamError(f'{str(source.path)!r}: the bag defines {message.type} in a way of its own, without what '

@@ -124,6 +124,29 @@ def test_an_option_that_changes_nothing_of_a_bag_is_refused(taken, option, sente
     assert not output.exists()
 
 
+@pytest.mark.parametrize(('option', 'sentence'), [
+    (('--effort-sign', -1), "in.mcap': efforts are to change, but its joint states hold none."),
+    (('--effort-factors', 'a=2'), "effort_factors names 'a', of which there is no effort; expected some of ")])
+def test_efforts_that_are_not_there_do_not_change(option, sentence, tmp_path, capsys):
+    """The bag was written as it was."""
+    with BagWriter(tmp_path / 'in.mcap') as writer:
+        writer.write('/joint_states', 'sensor_msgs/msg/JointState', {'name': ['a'], 'position': [0.1]}, 10**9)
+    assert sentence in refusal(capsys, 'convert', tmp_path / 'in.mcap', tmp_path / 'out.mcap', *option)
+
+
+def test_joints_of_accelerations_or_temperatures_alone_are_renamed(tmp_path):
+    """It was said that the bag had no such joint."""
+    header = {'frame_id': 'a'}
+    for topic, type_name, message in (
+            ('/joint_accelerations', 'trajectory_msgs/msg/JointTrajectory', {'joint_names': ['a']}),
+            ('/temperature', 'sensor_msgs/msg/Temperature', {'header': header})):
+        with BagWriter(tmp_path / 'in.mcap') as writer:
+            writer.write(topic, type_name, message, 10**9)
+        assert convert(tmp_path / 'in.mcap', tmp_path / 'out.mcap', '--joint', 'a=c') == 0
+        data = messages(tmp_path / 'out.mcap', topic)[0].data
+        assert 'c' in (getattr(data, 'joint_names', None) or [data.header.frame_id])
+
+
 def test_a_bag_of_which_nothing_can_be_read_is_not_converted(tmp_path, capsys):
     """An empty bag was written, and the exit code was 0."""
     source = tmp_path / 'in.mcap'
