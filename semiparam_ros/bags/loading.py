@@ -144,17 +144,30 @@ def _require(bag: BagReader, needed: Sequence[str]) -> None:
     for topic in needed:
         type_name = layout.TYPES[topic]
         if topic not in bag.topics:
-            alike = [name for name, info in bag.topics.items() if info.type == type_name]
-            others = ''.join(f' --topic {name}' for name in (*needed, layout.ROBOT_DESCRIPTION) if name in bag.topics)
-            remedy = f' (semiparam convert --topic {alike[0]}={topic}{others} renames one)' if len(alike) == 1 else ''
             raise SemiparamError(f'{str(bag.path)!r} has no topic {topic}; it has {", ".join(bag.topics) or "none"}'
-                                 f'{remedy}.')
+                                 f'{_renaming(bag, needed)}.')
         if bag.topics[topic].type != type_name:
             raise SemiparamError(f'{str(bag.path)!r}: topic {topic} holds {bag.topics[topic].type or "no known type"}; '
                                  f'expected {type_name}.')
         if not bag.decodes(topic):
             raise SemiparamError(f'{str(bag.path)!r}: messages on {topic} are encoded as '
                                  f'{bag.topics[topic].encoding!r}; expected cdr, as ROS 2 records them.')
+
+
+def _renaming(bag: BagReader, needed: Sequence[str]) -> str:
+    """The command that gives all topics needed their names, '' where it is not clear which of the bag they are."""
+    words = list[str]()
+    for topic in (*needed, layout.ROBOT_DESCRIPTION):
+        alike = [name for name, info in bag.topics.items()
+                 if info.type == layout.TYPES[topic] and (topic in needed or name.endswith(topic))]
+        if topic in bag.topics:
+            words.append(f' --topic {topic}')
+        elif len(alike) == 1:
+            words.append(f' --topic {alike[0]}={topic}')
+        elif topic in needed:
+            return ''
+    renamed = 'one' if sum('=' in word for word in words) == 1 else 'them'
+    return f' (semiparam convert{"".join(words)} renames {renamed})'
 
 
 def _joints(settings: Table, description: str | None, bag: BagReader) -> tuple[str, ...]:

@@ -1,6 +1,7 @@
 """Bags written and read back: messages, times, orders, quality of service, formats, refusals."""
 
 import random
+import re
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +22,7 @@ from semiparam_ros.bags.schemas import Schema, has_header
 from semiparam_ros.bags.writer import BagWriter
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.settings.snapshot import Settings
+from support.commands import semiparam
 from support.node_helpers import motion, write_bag
 
 STRING, STATE, WRENCH = 'std_msgs/msg/String', 'sensor_msgs/msg/JointState', 'geometry_msgs/msg/WrenchStamped'
@@ -414,6 +416,22 @@ def test_topics_of_other_names_are_named(tmp_path):
         load_samples(path, settings)
     with pytest.raises(SemiparamError, match='--topic /arm=/joint_states --topic /wrench renames one'):
         load_samples(path, Settings(joints=('a', 'b'), sensor_frame='ft'))  # convert leaves out what is not named
+
+
+def test_the_command_that_renames_topics_leaves_none_out_that_is_needed(tmp_path):
+    """Of a bag of an arm with a namespace it kept the joint states alone."""
+    path, renamed = tmp_path / 'left.mcap', tmp_path / 'renamed.mcap'
+    with open_bag(robot_bag(tmp_path / 'bag.mcap')) as bag, BagWriter(path) as left:
+        left.write('/left/robot_description', 'std_msgs/msg/String', {'data': '<robot/>'}, 0)
+        for message in bag.messages():
+            left.write(f'/left{message.topic}', message.type, message.data, message.log_time)
+    settings = Settings(joints=('a', 'b'), sensor_frame='ft')
+    with pytest.raises(SemiparamError, match=r'\(semiparam convert (.*) renames them\)\.$') as error:
+        load_samples(path, settings)
+    options = re.search(r'convert (.*) renames', str(error.value))[1].split()
+    assert semiparam('convert', path, renamed, *options) == 0
+    loaded = load_samples(renamed, settings)
+    assert (len(loaded.samples), loaded.robot_description) == (9, '<robot/>')
 
 
 @pytest.mark.parametrize(('changes', 'sentence'), [
