@@ -10,6 +10,7 @@ from itertools import groupby
 from typing import NamedTuple
 
 from semiparam_ros import __version__
+from semiparam_ros.core.initial_window import gathered_from
 from semiparam_ros.experiments.comparison import (
     BAND,
     LEVELS,
@@ -144,10 +145,11 @@ def page(comparison: Comparison, train: str, test: str, command: str) -> str:
 
     :param train: name of the first recording. :param test: of the second. :param command: what made it.
     """
-    shown = columns(comparison)
+    shown, scenario = columns(comparison), comparison.scenario
+    window = gathered_from(scenario.train, scenario.settings.initial_samples).end
     template = environment().get_template('comparison.html.j2')
     return template.render(
-        version=__version__, train=train, test=test, command=command, scenario=comparison.scenario,
+        version=__version__, train=train, test=test, command=command, scenario=scenario, window=window,
         verdict=verdict(comparison.figures, comparison.findings), findings=comparison.findings, columns=shown,
         groups=_groups([column.heading for column in shown]),
         rows={variant: [cells(comparison, column)[variant] for column in shown] for variant in comparison.figures},

@@ -99,3 +99,14 @@ def test_efforts_have_one_index_and_the_joints_names_and_one_draw_has_no_spread(
     assert '&lt;one&gt;' in text
     assert 'class="spread"' in wrench_page()
     assert 'class="spread"' not in text
+
+
+def test_it_tells_where_the_initial_window_ended():
+    """It was said to be the first samples also of a robot that stood still at first, and others learnt after it."""
+    one = comparison()
+    position = np.zeros((1200, 4))
+    position[100:] = np.sin(0.1 * np.arange(1100))[:, None]
+    train = replace(one.scenario.train, stamps=10**7 * np.arange(1200), position=position)
+    text = page(replace(one, scenario=replace(one.scenario, train=train)), *NAMES)
+    assert 'From 1000 of the first 1105 samples of ' in text
+    assert 'from 1000 of the first 1105 samples, the other 95 learnt online.' in text
