@@ -412,6 +412,14 @@ def test_what_a_follower_publishes_is_played_under_another_name():
     assert names == ['/wrench', '/before/residual']
 
 
+def test_inputs_in_the_namespace_of_the_answers_are_played():
+    """They were left out as the follower's own, and nothing was left to play."""
+    topics = {f'/left/{name}': TopicInfo(WRENCH, 1, Qos()) for name in ('wrench', 'other', 'answer')}
+    follow = FollowOptions({'/left/answer': '/left/wrench'})
+    assert topics_played(topics, follow=follow, rate=None) == (
+        ['/left/wrench', '/left/other'], ['/left/answer is not played: the follower publishes there.'])
+
+
 def test_topics_of_two_types_are_not_played_on_one():
     """The bytes of the one were published as the other's."""
     topics = {'/a': TopicInfo(WRENCH, 1, Qos()), '/b': TopicInfo(STATES, 1, Qos()), '/c': TopicInfo(WRENCH, 1, Qos())}

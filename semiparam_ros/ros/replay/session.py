@@ -119,7 +119,9 @@ class ReplaySession:
         if topic == '/clock' and (self._options.clock_hz is not None or self._options.clock_before_each):
             return 'the time of the bag is published there'
         answers = self._options.follow.answers if self._options.follow else {}
-        outputs = [answer.rpartition('/')[0] + '/' for answer in answers]
+        # A namespace that also has what is answered is the robot's, not the follower's own.
+        outputs = [prefix for answer, played in answers.items()
+                   if not (played or '').startswith(prefix := answer.rpartition('/')[0] + '/')]
         if topic in answers or any(len(prefix) > 1 and topic.startswith(prefix) for prefix in outputs):
             return 'the follower publishes there'
         return ''
