@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import os
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Iterator
 from functools import partial
 from pathlib import Path
@@ -79,6 +79,8 @@ class _RosbagsBag(BagReader):
         super().__init__(path)
         self._saved: int | None = None
         self._reasons: list[str] = []
+        self._main: dict[str, str] = {}
+        """Type that most messages of each topic have, and no others are read."""
         try:
             self._reader = reader(self.path)
             self._reader.open()
@@ -106,7 +108,22 @@ class _RosbagsBag(BagReader):
 
     def _is_read(self, connection: Connection) -> bool:
         """Tell whether messages of a connection are of the type that its topic is read as."""
-        return True
+        return bool(connection.msgtype == self._main[connection.topic])
+
+    def _topics(self) -> Iterator[tuple[str, int, list[Any]]]:
+        """Topics in order, of one type each: the number of their messages, and the connections that hold these."""
+        topics: dict[str, list[Any]] = defaultdict(list)
+        for connection in self._reader.connections:
+            topics[connection.topic].append(connection)
+        for topic, connections in sorted(topics.items()):
+            counts: Counter[str] = Counter()
+            for each in connections:
+                counts[each.msgtype] += each.msgcount
+            (main, count), *others = counts.most_common()
+            self._main[topic] = main
+            self._reasons += [f'{number} messages on {topic} are {other}, not {main}'
+                              for other, number in others if number]
+            yield topic, count, [each for each in connections if self._is_read(each)]
 
     def _cdr(self, connection: Connection, raw: bytes) -> bytes:
         return bytes(raw)
@@ -132,11 +149,11 @@ class SqliteBag(_RosbagsBag):
     def __init__(self, path: str | os.PathLike[str]) -> None:
         _refuse_cut_database(Path(path))
         super().__init__(path, rosbags.rosbag2.Reader)
-        for connection in sorted(self._reader.connections, key=lambda connection: connection.topic):
-            offers = tuple(_offer(profile) for profile in connection.ext.offered_qos_profiles)
-            schema = Schema(_ENCODINGS.get(connection.msgdef.format, ''), connection.msgdef.data)
-            self.topics[connection.topic] = TopicInfo(schemas.full_type(connection.msgtype), connection.msgcount,
-                                                      qos.agreed(offers), offers, schema)
+        for topic, count, connections in self._topics():
+            offers = tuple(_offer(profile) for each in connections for profile in each.ext.offered_qos_profiles)
+            schema = Schema(_ENCODINGS.get(connections[0].msgdef.format, ''), connections[0].msgdef.data)
+            self.topics[topic] = TopicInfo(schemas.full_type(self._main[topic]), count, qos.agreed(offers), offers,
+                                           schema)
 
 
 class Ros1Bag(_RosbagsBag):
@@ -150,22 +167,11 @@ class Ros1Bag(_RosbagsBag):
             self._types = Ros1Types({each.msgtype: each.msgdef.data for each in self._reader.connections})
         except Exception as error:  # definitions that do not parse
             raise self._refusal(error) from error
-        self._main: dict[str, str] = {}
-        """Type that most messages of each topic have, and no others are read."""
-        for topic, info in sorted(self._reader.topics.items()):
-            counts: Counter[str] = Counter()
-            for each in info.connections:
-                counts[each.msgtype] += each.msgcount
-            (main, count), *others = counts.most_common()
-            self._main[topic] = main
-            self._reasons += [f'{number} messages on {topic} are {other}, not {main}'
-                              for other, number in others if number]
-            offers = tuple(LATCHED if each.ext.latching else Qos() for each in info.connections if self._is_read(each))
+        for topic, count, connections in self._topics():
+            offers = tuple(LATCHED if each.ext.latching else Qos() for each in connections)
+            main = self._main[topic]
             self.topics[topic] = TopicInfo(self._types.ros2_name(main), count, qos.agreed(offers), offers,
                                            self._types.schema(main))
-
-    def _is_read(self, connection: Connection) -> bool:
-        return connection.msgtype == self._main[connection.topic]
 
     def _cdr(self, connection: Connection, raw: bytes) -> bytes:
         return self._types.cdr(connection.msgtype, raw)

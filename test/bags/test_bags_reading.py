@@ -313,6 +313,26 @@ def test_a_topic_of_ros1_is_of_the_type_that_most_of_its_messages_have(tmp_path)
         assert f'1 messages on /x are {number}, not {text}' in bag.losses.sentence
 
 
+@pytest.mark.parametrize('opened', ['new', 'new/new.db3'])
+def test_a_topic_of_a_database_has_all_messages_of_one_type(opened, tmp_path):
+    """All were taken for messages of its last publisher, and its alone were counted."""
+    store, number = get_typestore(Stores.ROS2_JAZZY), 'std_msgs/msg/Int32'
+    best_effort = RosbagsQos(QosHistory.KEEP_LAST, 5, QosReliability.BEST_EFFORT, QosDurability.VOLATILE, QosTime(0, 0),
+                             QosTime(0, 0), QosLiveliness.AUTOMATIC, QosTime(0, 0), False)
+    with Rosbag2Writer(tmp_path / 'new', version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
+        numbers = [writer.add_connection('/x', number, typestore=store, offered_qos_profiles=profiles)
+                   for profiles in ([], [best_effort])]
+        text = writer.add_connection('/x', STRING, typestore=store)
+        for time, connection in enumerate((*numbers, numbers[0])):
+            writer.write(connection, time, store.serialize_cdr(store.types[number](7 + time), number))
+        writer.write(text, 9, store.serialize_cdr(store.types[STRING]('word'), STRING))
+    with open_bag(tmp_path / opened) as bag:
+        assert [message.data.data for message in bag.messages()] == [7, 8, 9]
+        info = bag.topics['/x']
+        assert (info.type, info.count, info.qos.reliability) == (number, 3, 'best_effort')
+        assert f'1 messages on /x are {STRING}, not {number}' in bag.losses.sentence
+
+
 def schema_bag(path: Path, encoding: str, text: bytes, raw: bytes) -> Path:
     with path.open('wb') as file:
         writer = McapWriter(file)
