@@ -114,6 +114,7 @@ def encoder(type_name: str, schema: Schema = UNKNOWN) -> Encoder:
 @cache
 def has_header(type_name: str, schema: Schema = UNKNOWN) -> bool:
     """Tell whether messages begin with a std_msgs/Header, whose stamp is then bytes 4 to 12."""
-    lines = (line.partition('#')[0] for line in (message_text(type_name, schema) or '').splitlines())
-    first = next((line.split() for line in lines if len(line.split()) > 1 and '=' not in line), [''])
+    lines = (line.partition('#')[0].split() for line in (message_text(type_name, schema) or '').splitlines())
+    # A constant is NAME=VALUE or NAME = VALUE; the type of a field may hold the sign, too: string<=10.
+    first = next((words for words in lines if len(words) > 1 and '=' not in words[1] + ''.join(words[2:])[:1]), [''])
     return first[0] in ('std_msgs/Header', 'std_msgs/msg/Header', 'Header')

@@ -360,9 +360,12 @@ def test_types_of_ones_own_are_read_by_the_definition_in_the_bag(encoding, text,
 @pytest.mark.parametrize(('text', 'has'), [
     ('std_msgs/Header header  # stamp = time of the exposure\nint32 x\n', True),
     ('# Header header\nint32 LARGEST = 5  # std_msgs/Header\nstd_msgs/Header header\n', True),
-    ('string UNIT = "# of turns"\nint32 x\nstd_msgs/Header header\n', False), ('std_msgs/Header[] header\n', False)])
+    ('string UNIT = "# of turns"\nint32 x\nstd_msgs/Header header\n', False), ('std_msgs/Header[] header\n', False),
+    ('string<=10 name\nstd_msgs/Header header\n', False), ('uint8[<=3] data\nstd_msgs/Header header\n', False),
+    ('int32 LARGEST=5\nint32 LEAST =1\nstd_msgs/Header header\n', True)])
 def test_a_header_is_known_by_the_first_field_whatever_the_remarks_say(text, has):
-    """A remark with an equals sign hid it, and --order header put such messages by the clock of others."""
+    """A remark with an equals sign hid it, and --order header put such messages by the clock of others. A bounded field
+    was passed over for a constant, and convert --stamps-from-log wrote a stamp into its text."""
     assert has_header('my_msgs/msg/Own', Schema('ros2msg', text)) is has
 
 
