@@ -164,7 +164,8 @@ class BagReader(ABC):
     def has_header(self, message: Message) -> bool:
         """Tell whether a message begins with a header, without decoding it."""
         info = self.topics[message.topic]
-        return info.encoding == 'cdr' and len(message.raw) >= 12 and schemas.has_header(info.type, info.schema)
+        plain = info.encoding == 'cdr' and message.raw[:2] in PLAIN_CDR and len(message.raw) >= 12
+        return plain and schemas.has_header(info.type, info.schema)
 
     def _stamp(self, message: Message) -> int | None:
         """Stamp of the message's header [ns]; None without a header, or one that is not set."""

@@ -333,6 +333,20 @@ def test_a_topic_of_a_database_has_all_messages_of_one_type(opened, tmp_path):
         assert f'1 messages on /x are {STRING}, not {number}' in bag.losses.sentence
 
 
+def test_a_message_of_another_layout_has_no_stamp_to_read_or_to_write(tmp_path):
+    """The length that XCDR2 writes first was taken for the stamp, and --stamps-from-log wrote over it."""
+    raw = bytes((0, 9, 0, 0, 20, 0, 0, 0, 5, 0, 0, 0, 6, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0, 0))
+    with BagWriter(tmp_path / 'in.mcap') as writer:
+        writer.add_topic('/point', 'geometry_msgs/msg/PointStamped')
+        writer.write_raw('/point', raw, 7 * SECOND)
+    with open_bag(tmp_path / 'in.mcap') as bag:
+        message, = bag.messages(['/point'], decode=False)
+        assert list(bag.timed([message], 'header')) == [(7 * SECOND, message)]
+    assert semiparam('convert', tmp_path / 'in.mcap', tmp_path / 'out.mcap', '--stamps-from-log') == 0
+    with open_bag(tmp_path / 'out.mcap') as bag:
+        assert [message.raw for message in bag.messages(decode=False)] == [raw]
+
+
 def schema_bag(path: Path, encoding: str, text: bytes, raw: bytes) -> Path:
     with path.open('wb') as file:
         writer = McapWriter(file)
