@@ -12,7 +12,7 @@ from matplotlib.ticker import FuncFormatter, PercentFormatter
 from semiparam_ros.core.types import Array
 from semiparam_ros.experiments.comparison import EARLY_S, LEVELS, VariantFigures
 from semiparam_ros.experiments.evaluation import TRANSIENT_S
-from semiparam_ros.report.html import FAINT, INK, page_style
+from semiparam_ros.report.html import FAINT, INK, PLAIN, page_style
 
 # Families share a hue, validation sets are dashed; told apart without red and green.
 COLOURS = {'P': '#8c8c8c', 'NP-ML': '#e08a00', 'NP-VS': '#e08a00', 'SP-ML': '#3b7dd8', 'SP2-ML': '#c060a8',
@@ -97,7 +97,7 @@ def channels(figures: Mapping[str, VariantFigures], names: Sequence[str]) -> Fig
                            markerfacecolor=face, markeredgecolor=COLOURS[variant], alpha=0.85,
                            label=variant if mode == 'frozen' else None)
         panel.set(xscale='log', xlabel='squared error over variance')
-        panel.set_yticks(range(len(names)), names)
+        panel.set_yticks(range(len(names)), names, **PLAIN)
         panel.invert_yaxis()
         _legend(figure, panel, figures)
     return figure

@@ -33,7 +33,7 @@ from semiparam_ros.effects import Effect
 from semiparam_ros.effects.base import ALWAYS, Axis, place
 from semiparam_ros.effects.temperature import REFERENCE_C, temperature_of
 from semiparam_ros.effects.terms import ROLES, variable_values
-from semiparam_ros.report.html import FAINT, INK, page_style
+from semiparam_ros.report.html import FAINT, INK, PLAIN, page_style
 
 DEPENDENCE_BINS = 20
 
@@ -173,12 +173,12 @@ def over_time(time: Array, shown: list[Curve], labels: list[str], held_out: Mask
                 panel.axvspan(time[start], time[end - 1], color=FAINT, alpha=0.45, linewidth=0, zorder=0)
             for _, second in changes:
                 panel.axvline(second, color=INK, linewidth=0.9, linestyle=(0, (2, 2)))
-            panel.set_title(label, fontsize=9, pad=3)
+            panel.set_title(label, fontsize=9, pad=3, **PLAIN)
             panel.set_ylim(*limits(*(curve.residual[:, index] for curve in shown)))
             panel.margins(x=0.0)
         for name, second in changes:
             panels[0].annotate(name, (second, 1.0), xycoords=('data', 'axes fraction'), xytext=(3, 2),
-                               textcoords='offset points', fontsize=8)
+                               textcoords='offset points', fontsize=8, **PLAIN)
         panels[-1].set_xlabel('time [s]')
         figure.legend(*panels[0].get_legend_handles_labels(), loc='outside upper right', ncols=2)
     return figure
@@ -245,7 +245,7 @@ def candidates_of(step: Step, number: int) -> Figure:
             panel.barh(row, trial.evidence, color=colour, height=0.72)
             panel.annotate(f'{trial.evidence:.0f}', (trial.evidence, row), xytext=(4, 0), textcoords='offset points',
                            va='center', fontsize=8)
-        panel.set_yticks(range(len(shown)), [place(trial.effect.kind, trial.effect.where) for trial in shown])
+        panel.set_yticks(range(len(shown)), [place(trial.effect.kind, trial.effect.where) for trial in shown], **PLAIN)
         panel.invert_yaxis()
         panel.grid(axis='y', visible=False)
         panel.tick_params(axis='y', length=0)
@@ -282,7 +282,7 @@ def outputs_of(diagnosis: Diagnosis) -> Figure:
         panel.set(xscale='log', xlim=(0.8 * shown.min(), 1.25 * shown.max()) if len(shown) else (0.1, 1.0))
         panel.set_xlabel('held-out root mean square error over the standard deviation of the output')
         _plain_ticks(panel)
-        panel.set_yticks(rows, labels)
+        panel.set_yticks(rows, labels, **PLAIN)
         panel.invert_yaxis()
         figure.legend(*panel.get_legend_handles_labels(), loc='outside upper right', ncols=3)
     return figure
@@ -335,7 +335,7 @@ def against_suspected(diagnosis: Diagnosis, suspicion: Suspicion) -> Figure:
             _cloud(panel, variable, residual, colour)
             panel.set_title(title)
         _course(panels[0], variable, suspicion.explained[use], 'what the effect explains')
-        panels[0].set_ylabel(_residual_label(diagnosis.first, channel))
+        panels[0].set_ylabel(_residual_label(diagnosis.first, channel), **PLAIN)
         panels[0].set_ylim(*limits(*(residual for _, residual, _ in sides)))
     return figure
 
@@ -370,7 +370,7 @@ def against_unexplained(fit: Fit, structure: Structure) -> tuple[Figure, str]:
             _cloud(panel, variable, residual, AFTER)
             for label, rows, colour in _periods(time, 'time' in names and name != 'time'):
                 _course(panel, Variable(variable.label, variable.values[rows]), residual[rows], label, colour)
-        panels[0].set_ylabel(_residual_label(fit, channel))
+        panels[0].set_ylabel(_residual_label(fit, channel), **PLAIN)
         panels[0].set_ylim(*limits(residual))
     return figure, fit.body.output_names[channel]
 
@@ -396,7 +396,7 @@ def _cloud(panel: Axes, variable: Variable, residual: Array, colour: str) -> Non
     panel.plot(variable.values[chosen], residual[chosen], linestyle='none', marker='o', markersize=2.4, color=colour,
                markeredgewidth=0, alpha=0.6, rasterized=True)  # a point in SVG takes a hundred bytes
     panel.axhline(0.0, color=INK, linewidth=0.7)
-    panel.set_xlabel(variable.label)
+    panel.set_xlabel(variable.label, **PLAIN)
 
 
 def _course(panel: Axes, variable: Variable, values: Array, label: str, colour: str = INK) -> None:

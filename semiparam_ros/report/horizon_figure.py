@@ -42,7 +42,7 @@ def plot_indices(
             panel.axvline(seconds, color='black', linewidth=0.8, linestyle=':')
     for seconds, what in events:
         panels[-1].text(seconds, 0.02, f' {what}', rotation=90, fontsize='small', va='bottom', ha='right',
-                        transform=panels[-1].get_xaxis_transform())
+                        transform=panels[-1].get_xaxis_transform(), parse_math=False)
     panels[-1].set_xlabel('time [s]')
     panels[0].legend(ncols=len(scores), fontsize='small')
     save_figure(path, figure)

@@ -16,6 +16,9 @@ from matplotlib.figure import Figure
 INK, FAINT = '#010203', '#010204'
 _PAGE_COLOURS = {INK: 'currentColor', FAINT: 'var(--faint)'}
 
+PLAIN: Any = {'parse_math': False}
+"""Properties of a text with the name of a joint or a link, whose dollars are no formula."""
+
 # Any, because the type of matplotlib's keys differs between its versions
 STYLE: Any = {
     'svg.fonttype': 'none', 'font.family': 'sans-serif', 'font.size': 9.0, 'axes.edgecolor': FAINT,

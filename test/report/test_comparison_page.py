@@ -37,7 +37,7 @@ def comparison(outputs='wrench', seeds=SEEDS):
     """All variants on invented runs of two subsets."""
     rng = np.random.default_rng(0)
     n = 6 if outputs == 'wrench' else 3
-    settings = Settings(outputs=outputs, joints=() if outputs == 'wrench' else ('<one>', 'two', 'three'))
+    settings = Settings(outputs=outputs, joints=() if outputs == 'wrench' else ('<one>', '$two_$', 'three'))
     samples = Samples(np.arange(1200), *[np.zeros((1200, 4))] * 3, np.zeros((1200, n)), 0)
     scenario = ComparisonScenario(settings, samples, samples, None, ((0, 600), (600, 1200)),
                                   tuple(VARIANTS), tuple(seeds))
@@ -96,7 +96,7 @@ def test_efforts_have_one_index_and_the_joints_names_and_one_draw_has_no_spread(
     text = page(comparison('effort', seeds=(0,)), 'a', 'b', 'c')
     assert 'Efforts' in text
     assert 'Torques' not in text
-    assert '&lt;one&gt;' in text
+    assert '&lt;one&gt;' in text and '$two_$' in text
     assert 'class="spread"' in wrench_page()
     assert 'class="spread"' not in text
 

@@ -30,6 +30,7 @@ from semiparam_ros.report.diagnosis_page import (
     output_rows,
     relative_floor,
 )
+from semiparam_ros.report.html import inline_svg
 from semiparam_ros.simulation.scenario import EffectRequest, Scenario
 from semiparam_ros.simulation.simulate import simulate
 from support.arms import ODD_BODY, icub, smooth_motion
@@ -406,6 +407,18 @@ def test_what_was_added_is_shown_however_far_down_it_ranked():
     bars = figures.candidates_of(step, 2).axes[0].patches
     assert [to_hex(bar.get_facecolor()) for bar in bars] == [
         figures.CHOSEN, *[figures.OTHER] * 2, figures.RIVAL, *[figures.OTHER] * 5, figures.CHOSEN]
+
+
+def test_dollars_in_the_name_of_a_joint_are_no_formula():
+    """$q_$ was an internal error after minutes of work, and ${left}${hand} was drawn without its dollars."""
+    effect = kinds()['viscous_friction']('$q_$', {})
+    step = Step(added=(effect,), rivals=(), ranking=(Trial(effect, 1, np.zeros(1), evidence=9.0),), before=None,
+                after=None)
+    time, name = 0.1 * np.arange(30), 'residual of $q_$ [N m]'
+    shown = figures.curves(np.zeros((30, 1)), time[:, None], added=True)
+    for figure in (figures.candidates_of(step, 1),
+                   figures.over_time(time, shown, [name], time > 2.0, [('viscous_friction at $q_$', 1.0)])):
+        assert '$q_$' in inline_svg(figure, 'one', 'a figure')
 
 
 # --- what the tables hold ---
