@@ -212,20 +212,20 @@ def _read_windows(bag: BagReader, stream: SampleStream, needed: Collection[str],
 
 def _read(bag: BagReader, stream: SampleStream, needed: Collection[str], start: int | None,
           end: int | None) -> tuple[str, list[Sample]]:
-    """Read (frame of the wrenches, samples) from the messages of some topics in the order recorded,
+    """Read (frame of the wrenches that are taken, samples) from the messages of some topics in the order recorded,
     from one log time [ns] on and before another; None: all."""
     samples: list[Sample] = []
     frame_id = ''
     for message in bag.messages(needed, start_ns=start, end_ns=end):
         kind = KINDS[message.topic]
         try:
-            reading = kind.read(message.data)
+            reading, accepted = kind.read(message.data), stream.accepted
             samples += kind.feed(stream, reading.stamp, *reading.fields)
         except (AttributeError, TypeError, ValueError) as error:
             raise SemiparamError(f'{str(bag.path)!r}: the bag defines {message.type} in a way of its own, without what '
                                  f'{message.topic} is read for ({error}).') from error
-        if not frame_id and message.topic == layout.WRENCH:
-            frame_id = reading.frame_id
+        if not frame_id and message.topic == layout.WRENCH and stream.accepted > accepted:
+            frame_id = reading.frame_id.lstrip('/')
     return frame_id, samples
 
 

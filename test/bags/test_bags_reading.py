@@ -15,7 +15,7 @@ from rosbags.rosbag2 import Writer as Rosbag2Writer
 from rosbags.rosbag2.enums import CompressionFormat, CompressionMode
 from rosbags.typesys import Stores, get_typestore
 
-from semiparam_ros.bags.loading import load_samples, recorded_description
+from semiparam_ros.bags.loading import load_samples, recorded_description, require_same_robot
 from semiparam_ros.bags.qos import LATCHED, Qos, agreed, dump_profiles, parse_profiles
 from semiparam_ros.bags.reader import MergedBag, open_bag
 from semiparam_ros.bags.schemas import Schema, has_header
@@ -434,6 +434,21 @@ def test_a_recording_becomes_samples(tmp_path):
     np.testing.assert_allclose(loaded.samples.position[:, 1], np.arange(9) + 0.1)
     np.testing.assert_array_equal(loaded.samples.outputs[:, 0], np.arange(9))
     assert loaded.faults == {} and not loaded.losses
+
+
+def test_recordings_are_told_apart_by_the_frames_of_the_wrenches_that_are_taken(tmp_path):
+    """Another sensor's wrench that came first made them different robots', and so did a slash before the frame."""
+    settings = Settings(joints=('a', 'b'), sensor_frame='ft')
+    paths = [robot_bag(tmp_path / 'one.mcap'), tmp_path / 'two.mcap']
+    with open_bag(paths[0]) as bag, BagWriter(paths[1]) as two:
+        two.write('/wrench', WRENCH, {'header': header(0, 'other')}, 0)
+        for message in bag.messages():
+            if message.type == WRENCH:
+                message.data.header.frame_id = '/ft'
+            two.write(message.topic, message.type, message.data, message.log_time)
+    loaded = [load_samples(path, settings) for path in paths]
+    require_same_robot(settings, loaded)
+    assert [len(each.samples) for each in loaded] == [9, 9] and loaded[1].faults == {'wrong_frame': 1}
 
 
 def test_measured_accelerations_are_taken_where_they_were_recorded(tmp_path):
