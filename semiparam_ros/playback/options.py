@@ -100,4 +100,4 @@ def parse_follow(text: str) -> tuple[str, str | None]:
 
 def _at_least_zero(what: str, value: float) -> None:
     if not (isfinite(value) and value >= 0.0):
-        raise SemiparamError(f'{what} must not be negative, got {value:g}.')
+        raise SemiparamError(f'{what} must not be negative or endless, got {value:g}.')

@@ -205,6 +205,7 @@ def test_unknown_types_are_named(name, sentence):
     ({'restamp': True, 'follow': FollowOptions({'/answers': None})}, 'restamped messages cannot be followed'),
     ({'order': 'time'}, 'expected one of log, publish, header'),
     ({'delay_s': -1.0}, 'delay must not be negative'),
+    ({'wait_s': float('inf')}, 'wait must not be negative or endless, got inf'),
     ({'clock_hz': 0.0}, 'clock rate must be above 0 Hz'),
     ({'clock_hz': 1e12}, 'at most 10000 Hz, got 1e\\+12'),
     ({'bags': ()}, 'expected at least one'),

@@ -312,6 +312,7 @@ def test_mistakes_are_one_sentence_and_leave_no_file(tmp_path, arguments, senten
 @pytest.mark.parametrize(('arguments', 'sentence'), [
     (['--count', 'many'], "'many' is no count: expected N or TOPIC=N"),
     (['--until-idle', 0], 'the idle time must be a finite number above 0'),
+    (['--wait-timeout', 'nan'], 'the time to wait must be a finite number of at least 0, got nan'),  # it never ended
 ])
 def test_a_senseless_end_is_refused(tmp_path, capsys, arguments, sentence):
     assert sentence in refusal(capsys, 'record', tmp_path / 'out.mcap', *arguments)

@@ -56,6 +56,8 @@ class RecordOptions:
     def __post_init__(self) -> None:
         if self.path.exists() and not self.overwrite:
             raise SemiparamError(f'{str(self.path)!r} exists already: choose another name or say --overwrite.')
+        if not 0.0 <= self.wait_s < float('inf'):
+            raise SemiparamError(f'the time to wait must be a finite number of at least 0, got {self.wait_s:g}.')
         partial = partial_path(self.path)
         if partial.exists() and not self.overwrite:
             raise SemiparamError(f'{str(partial)!r} holds a recording that broke off, or is being made: choose another '
