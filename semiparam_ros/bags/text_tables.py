@@ -96,7 +96,10 @@ def load_layout(path: str | os.PathLike[str]) -> TableLayout:
     values = read_yaml(Path(path), 'the columns')
     if not isinstance(values, Mapping):
         raise SemiparamError(f'{str(path)!r} holds no columns: expected a mapping such as "joints: [...]".')
-    return TableLayout().merged(values, repr(str(path)))
+    layout = TableLayout().merged(values, repr(str(path)))
+    if layout.period is not None and 'time' in layout.columns:
+        raise SemiparamError(f'{str(path)!r} gives a column of the time, and a rate or period; expected one of them.')
+    return layout
 
 
 def parse_columns(text: object) -> tuple[int | str, ...]:

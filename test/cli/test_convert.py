@@ -490,6 +490,7 @@ def test_a_bad_table_ends_in_one_sentence_and_leaves_no_file(case, tmp_path, cap
     ('period: yes\n', 'period is True; expected a number'),  # was 1 s
     ('joints: [a]\ncolumns: {position: 1}\nrate: 1\nsliding: [b]\n', "sliding names 'b'; expected some of"),
     ('rate: 10\nperiod: 5\n', 'both rate and period are given; expected one of them'),
+    ('joints: [a]\ncolumns: {time: 1, position: 2}\nrate: 5\n', 'gives a column of the time, and a rate or period'),
     ('joints: [a]\njoints: [b]\n', "in line 2: 'joints' is there twice"),
     ('5: 6\n', "'5' is unknown"),  # a TypeError of difflib
     ('columns: {time: 1-99999999999999999999}\n', 'names 99999999999999999999 columns'),  # an OverflowError
