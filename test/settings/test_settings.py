@@ -68,7 +68,7 @@ def test_a_word_is_a_text_in_quotes_alone_as_in_ros(tmp_path, word):
     dump_params(settings, path)
     assert load_params(path) == settings
     write(path, f'estimator: {{ros__parameters: {{sensor_frame: ft, joints: [x, {word}]}}}}')
-    with pytest.raises(SemiparamError, match='joints mixes types'):
+    with pytest.raises(SemiparamError, match="joints mixes types in one list, which ROS refuses; write 'y', not y"):
         load_params(path)
 
 
