@@ -206,9 +206,9 @@ def _section(body: object, name: str, path: str) -> dict[str, object]:
         raise SemiparamError(f"{path}: section '{name}' gives {twice} twice; expected one value.")
     for key, value in values.items():
         if isinstance(value, list) and len({type(item) for item in value}) > 1:
-            remedy = "write 'y', not y, among texts" if any(isinstance(item, str) for item in value) \
-                else 'write 1.0, not 1, among decimal numbers'
-            raise SemiparamError(f'{path}: {key} mixes types in one list, which ROS refuses; {remedy}.')
+            texts = any(isinstance(item, str) for item in value)
+            raise SemiparamError(f'{path}: {key} mixes types in one list, which ROS refuses; ' + (
+                "write 'y', not y, among texts." if texts else 'write 1.0, not 1, among decimal numbers.'))
     if '*' in name:
         return {key: value for key, value in values.items() if _is_ours(key)}
     return values
