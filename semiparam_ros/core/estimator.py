@@ -159,15 +159,18 @@ class Estimator:
         x, outside = beyond(self.inputs_learnt, sample, self._radians)
         if isnan(outside):
             require_finite('positions, velocities and accelerations', x)
-        jumped = self._newest is not None and not 0 <= sample.stamp - self._newest <= LONGEST_PAUSE_NS
-        memory = None if jumped else self._memory
-        columns, memory = self.columns.one(sample, self._origin_at(sample.stamp), memory)
+        columns, memory = self.columns.one(sample, self._origin_at(sample.stamp), self.remembered(sample.stamp))
         if self.columns.effects:
             require_finite('columns of the effects', columns)
         position = x[:self.body.n_joints]
         motion = self.motion.after(sample.stamp, position, measured) if self.motion else \
             at_start(sample.stamp, position, measured)
         return Observed(sample, x, columns, memory, motion, outside, begins_step(sample.stamp, self._newest), measured)
+
+    def remembered(self, stamp: int) -> Memories:
+        """Return what the effects remember of the samples before one at a stamp [ns]; None after a long pause."""
+        jumped = self._newest is not None and not 0 <= stamp - self._newest <= LONGEST_PAUSE_NS
+        return None if jumped else self._memory
 
     def holds(self, effect: ColumnBlock) -> bool:
         """Tell whether an effect acts at the newest sample, by its start and its end."""

@@ -208,7 +208,7 @@ class Learner:
         measured = sample.outputs
         self.tools.shaped_by(self.estimator.columns.effects)
         self.changes.applied.shaped_by(self.estimator.columns.effects)
-        sample, of_tools = self.tools.taken_off(sample)
+        sample, of_tools = self.tools.taken_off(sample, self.estimator.remembered(sample.stamp))
         sample, of_changes = self.changes.applied.taken_off(sample)
         prediction = self._predict(sample, measured)
         if prediction is None:
@@ -293,7 +293,6 @@ class Learner:
     def clear_pending(self) -> None:
         """Forget half-finished horizons after a jump of the clock; the models stay."""
         self.gate.reset()
-        self.tools.reset()
         self.changes.reset()
         self.switcher.clear_pending()
         self.estimator.clear_pending()

@@ -73,7 +73,6 @@ class Tools:
         self._declared: Sequence[ColumnBlock] = ()
         self._shaped: CoupledColumns | None = None
         """Their column as declared effects correct and shape it; None where these do neither."""
-        self._memory: Memories = None
         for tool in self._tools:
             self.parameters += load_in_base(body, tool.link, tool.parameters)
             self._in_arm = self._in_arm + load_in_arm(body, tool.link, tool.parameters)
@@ -83,22 +82,23 @@ class Tools:
         if declared is self._declared:
             return
         shaping = [effect for effect in declared if not effect.only_adds]
-        self._declared, self._memory = declared, None
+        self._declared = declared
         self._shaped = CoupledColumns(self._body, [*shaping, _Carried(self._tools)]) \
             if shaping and self._tools else None
 
-    def reset(self) -> None:
-        """Forget what effects remember, as after a jump of the clock."""
-        self._memory = None
+    def taken_off(self, sample: Sample, remembered: Memories = None) -> tuple[Sample, Array | None]:
+        """The sample without what they add to its outputs (n,), and that; None where there are none.
 
-    def taken_off(self, sample: Sample) -> tuple[Sample, Array | None]:
-        """The sample without what they add to its outputs (n,), and that; None where there are none."""
+        :param remembered: what the declared effects remember of the samples before it.
+        """
         if not self.texts:
             return sample, None
         if self._shaped is None:
             added = self.outputs(sample.position, sample.velocity, sample.acceleration)
         else:
-            columns, self._memory = self._shaped.one(sample, 0, self._memory)
+            past = None if remembered is None else [
+                entry for effect, entry in zip(self._declared, remembered, strict=True) if not effect.only_adds]
+            columns, _ = self._shaped.one(sample, 0, past and [*past, (None, None)])
             added = columns[:, -1]
         return sample._replace(outputs=sample.outputs - added), added
 
