@@ -159,18 +159,24 @@ def test_a_model_of_some_of_the_older_samples_has_learnt_nothing_of_what_was_tak
         np.testing.assert_array_equal(*now)
 
 
-@pytest.mark.parametrize('wish', [{'effects': ('sensor_drift',)}, {'variant': 'P'}])
-def test_an_estimate_from_a_later_window_gives_way_to_what_a_user_asks_for(wish):
-    """And none begins before that is there."""
+def until_an_estimate():
+    """A stage whose motion has just left its window, so that an estimate is asked for; what it has not seen yet."""
     stage = Stage(SLOWER)
     stage.offer_and_build(DAY[:100])
     played = 100
     while not stage.background.jobs:
         stage.offer(DAY[played:played + 1])
         played += 1
+    return stage, DAY[played:]
+
+
+@pytest.mark.parametrize('wish', [{'effects': ('sensor_drift',)}, {'variant': 'P'}])
+def test_an_estimate_from_a_later_window_gives_way_to_what_a_user_asks_for(wish):
+    """And none begins before that is there."""
+    stage, rest = until_an_estimate()
     estimate, wanted = stage.background.jobs[0], replace(SLOWER, **wish)
     stage.learner.change(wanted)
-    stage.offer(DAY[played:])
+    stage.offer(rest)
     assert estimate.cancelled and not stage.learner.switcher.renewed
     (asked,) = [job for job in stage.background.jobs if not job.cancelled]
     assert asked.urgency == Urgency.TAKES_OVER
@@ -181,18 +187,13 @@ def test_an_estimate_from_a_later_window_gives_way_to_what_a_user_asks_for(wish)
 @pytest.mark.parametrize('fails', [False, True])
 def test_an_estimate_that_gave_way_to_a_model_that_does_not_come_is_made_after_all(fails):
     """The model went on with hyperparameters of slow motion, until twice as many samples had been learnt."""
-    stage = Stage(SLOWER)
-    stage.offer_and_build(DAY[:100])
-    played = 100
-    while not stage.background.jobs:
-        stage.offer(DAY[played:played + 1])
-        played += 1
+    stage, rest = until_an_estimate()
     stage.learner.change(replace(SLOWER, variant='P'))
     if fails:
         stage.background.jobs.pop().done(None, SemiparamError('there was no memory for it.'))
     else:
         stage.learner.change(SLOWER)
-    stage.offer_and_build(DAY[played:played + 10])
+    stage.offer_and_build(rest[:10])
     assert stage.learner.renewals == 1 and stage.learner.switcher.renewed
     assert same_model(stage.learner.built, SLOWER) and 'has new hyperparameters and takes over' in stage.news[-1]
 

@@ -18,7 +18,7 @@ that the outputs do not feel, as of a singular or a short arm, is zero and keeps
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import ClassVar, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -61,10 +61,11 @@ class _Pushed(ColumnBlock):
     :param maps: (n, 6) of them at positions (n_joints,).
     """
 
-    is_load: ClassVar[bool] = True
-
     def __init__(self, maps: Callable[[Array], Array]) -> None:
         self._maps = maps
+
+    def on_links(self, body: RigidBody) -> bool:
+        return True
 
     def prior_scale(self, body: RigidBody) -> Array:
         """(6,) of coefficients that nothing learns."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -43,10 +43,11 @@ class Tool(NamedTuple):
 class _Carried(ColumnBlock):
     """Tools as one column, whose coefficient is 1."""
 
-    is_load: ClassVar[bool] = True
-
     def __init__(self, tools: Sequence[Tool]) -> None:
         self._tools = tuple(tools)
+
+    def on_links(self, body: RigidBody) -> bool:
+        return True
 
     def prior_scale(self, body: RigidBody) -> Array:
         """(1,) of a coefficient that nothing learns."""
