@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from semiparam_ros.core.robot.tools import Tools, tool_from_text
+from semiparam_ros.core.samples import Samples
 from semiparam_ros.effects.loads import Payload
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.experiments.evaluation import OfflineLearner
@@ -217,3 +218,15 @@ def test_a_tool_at_no_link_and_a_frame_that_is_none_are_refused_before_anything_
             stage.learner.check(settings)
         with pytest.raises(SemiparamError, match='is not a link of the robot description'):
             Stage(settings)  # as where the description comes late: each status was an internal error
+
+
+def test_a_tool_beside_a_declared_delay_is_taken_off_with_what_the_delay_remembers():
+    """It was computed as if each sample were the first, or remembered beside the state that is saved."""
+    stage = Stage(replace(SETTINGS, tools=(TOOL,), effects=('time_delay{"delay_s": 0.012}',)), InlineBackground())
+    samples = motion(60)
+    stage.offer(samples)
+    tools = Tools(BODY, [TOOL])
+    tools.shaped_by(stage.learner.estimator.columns.effects)
+    taken_off = np.array([sample.outputs for sample in samples]) - stage.learner.history.batch().samples.outputs
+    np.testing.assert_allclose(taken_off, tools.outputs_of(Samples.from_list(samples)), atol=1e-9)
+    assert np.abs(taken_off - Tools(BODY, [TOOL]).outputs_of(Samples.from_list(samples))).max() > 1e-3

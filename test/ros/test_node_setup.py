@@ -137,7 +137,7 @@ def test_a_problem_that_declared_effects_mend_is_over_at_once():
     loaded = coupled.batch(batch_of((sample, 1) for sample in samples).samples)[0] @ coupled.prior_mean
     stage, check = looked([sample._replace(outputs=outputs + 0.01 * rng.standard_normal(6)) for sample, outputs in zip(
         samples, loaded, strict=True)], background, 'times what the robot description predicts')
-    stage.learner.settings = replace(stage.learner.settings, effects=('sensor_offset@ft',))
+    stage.learner.settings = replace(stage.learner.settings, effects=('sensor_offset',))
     check.look(stage.learner)
     background.run()
     assert check.problems, 'this one mends nothing'
@@ -147,7 +147,7 @@ def test_a_problem_that_declared_effects_mend_is_over_at_once():
     assert check.problems == [] and check.checked == 1600 and not stage.failures
     check.look(stage.learner)
     assert not background.jobs
-    for effects in ((), ('sensor_offset@ft',)):
+    for effects in ((), ('sensor_offset',)):
         stage.learner.settings = replace(stage.learner.settings, effects=effects)
         check.look(stage.learner)
         background.run()
