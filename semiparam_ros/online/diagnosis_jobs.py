@@ -148,7 +148,8 @@ def gain_since(body: RigidBody, batch: SampleBatch, since: int, before: Sequence
                after: Sequence[Effect], taken_off: Sequence[Contribution],
                contacts: Sequence[tuple[int, int]] = ()) -> float | None:
     """By how much [nat] other effects predict what came after a stamp [ns] better than those
-    before; None where that is too little to tell.
+    before; None where that is too little to tell. Both are fitted to what came before the stamp, or to the first half
+    where that is less, or the clock went back since.
 
     :param taken_off: what was taken off the samples before they were kept. :param contacts: stamps
         [ns] between which the robot was touched.
@@ -158,6 +159,8 @@ def gain_since(body: RigidBody, batch: SampleBatch, since: int, before: Sequence
     samples = batch.samples
     if samples is None:
         return None
+    middle, newest = (int(batch.stamps[at]) for at in (len(batch) // 2, -1))
+    since = max(since, middle) if since <= newest else middle
     try:
         samples = as_measured(body, samples, taken_off)
         return gain_since(body, samples, (since - samples.origin) * 1e-9, before, after,

@@ -16,6 +16,7 @@ from semiparam_ros.core.model import ModelOptions
 from semiparam_ros.core.robot.size import push_force, size_beyond
 from semiparam_ros.diagnosis.change import gain_since, name_change
 from semiparam_ros.effects import effect_from_text
+from semiparam_ros.online import diagnosis_jobs
 from semiparam_ros.online.change_causes import Judged
 from semiparam_ros.online.changes import ChangeDetector
 from semiparam_ros.online.diagnosis_jobs import diagnose
@@ -486,6 +487,18 @@ def test_what_was_found_helps_as_long_as_it_is_there(until, helps):
     found = effect_from_text(f'payload@r_gripper {{"start_s": {LOADED_S[0]}}}')
     gain = gain_since(body, samples, LOADED_S[1], [], [found])
     assert (gain.total > 12.0) if helps else (gain.total < -12.0)
+
+
+@pytest.mark.parametrize('diagnosed', [40.0, 500.0, LOADED_S[1]])
+def test_what_was_found_is_judged_also_long_after_it_and_after_the_clock_went_back(diagnosed):
+    """Neither left samples from before the diagnosis to compare with: its effects were declared unchecked."""
+    body, samples, _ = loaded((LOADED_S[0], LOADED_S[1]))
+    batch = batch_of((sample, True) for sample in samples[(samples.time > 60.0) & (samples.time < 140.0)])
+    stamp = samples.origin + round(diagnosed * 1e9)
+    found = effect_from_text(f'payload@r_gripper {{"start_s": {LOADED_S[0]}}}').at_stamps(samples.origin)
+    gain = diagnosis_jobs.gain_since(body, batch, stamp, [], [found], ())
+    assert gain is not None
+    assert gain < -12.0
 
 
 def test_a_push_that_holds_a_load_up_says_nothing_against_it():
