@@ -156,6 +156,8 @@ class Learner:
         self._asked: int | None = None
         self._recent: RecentWindow | None = None
         """That hyperparameters are estimated from; None: the initial window."""
+        self._before_renewal: Memory = None
+        """State of the renewal from before that."""
         self._awaits_draft = False
         self.takeovers: list[int] = []
         """Samples from the end of each of the first windows until the model of it answered."""
@@ -415,6 +417,7 @@ class Learner:
 
     def _renew(self) -> None:
         """Estimate the hyperparameters again."""
+        self._before_renewal = self._renewal.state()
         self._recent = self._renewal.begin()
         if self._recent.draft or not has_draft(self.built.initial_samples):
             self._listener.announce(f'the hyperparameters of {self.built.variant} are estimated again, from the latest '
@@ -515,8 +518,10 @@ class Learner:
     def state(self) -> SavedState:
         """State that :meth:`restore` takes back."""
         asked = None if same_model(self.settings, self.built) else self.settings
+        estimating = self._asked is not None and self._recent is not None  # which begins anew after loading
+        renewal = self._before_renewal if estimating else self._renewal.state()
         return SavedState(self.built, self.estimator, self.history.batch(), self.tare.bias, self.gate.state(),
-                          self._renewal.state(), self.changes.applied.state(), self.tools.texts, self._anew, asked)
+                          renewal, self.changes.applied.state(), self.tools.texts, self._anew, asked)
 
     def _fall_back(self, error: Exception) -> None:
         """The active model is broken: go on with the last checkpoint, else with P and no effects; where hyperparameters

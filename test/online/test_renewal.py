@@ -198,6 +198,16 @@ def test_an_estimate_that_gave_way_to_a_model_that_does_not_come_is_made_after_a
     assert same_model(stage.learner.built, SLOWER) and 'has new hyperparameters and takes over' in stage.news[-1]
 
 
+def test_an_estimate_that_a_restart_ended_is_made_after_it():
+    """The state told that it was being made: twice as many samples had to be learnt first."""
+    stage, rest = until_an_estimate()
+    stage.offer(rest[:5])
+    restarted = Stage(SLOWER)
+    restarted.learner.restore(stage.learner.state())
+    restarted.offer_and_build(rest[5:7])
+    assert restarted.learner.switcher.renewed and restarted.learner.renewals == 1
+
+
 def test_motion_within_the_window_is_no_reason():
     stage = Stage(SLOWER, InlineBackground())
     stage.offer([*SAMPLES[:200], *faster(SAMPLES[200:], 0.1)])
