@@ -1,8 +1,10 @@
 """Feedforward: the torques that follow from a wrench model, against pinocchio's rnea."""
 
+import struct
 from dataclasses import replace
 from functools import partial
 from types import SimpleNamespace
+from unittest.mock import patch
 
 import numpy as np
 import pinocchio as pin
@@ -283,6 +285,45 @@ def test_long_messages_are_refused_by_their_head():
     names = [str(index) for index in range(MOST_NAMES + 1)]
     with pytest.raises(SemiparamError, match=f'has {MOST_NAMES + 1} names; expected at most {MOST_NAMES}'):
         TrajectoryReader(TrajectoryWriter(0, '', names).message())
+
+
+def in_encoding(kind, n_points, doubles=2):
+    """Bytes of a trajectory of joints 'a' and 'b' in plain CDR (0, 1) or CDR2 (6, 7); even kinds are big-endian."""
+    order, widest, data = '<' if kind % 2 else '>', 8 if kind < 2 else 4, bytearray()
+
+    def put(code, *values):
+        data.extend(bytes(-len(data) % min(struct.calcsize(f'={code[-1]}'), widest)))
+        data.extend(struct.pack(order + code, *values))
+
+    put('iI', 3, 1)
+    put('I5s', 5, b'base\0')
+    data.extend(bytes(-len(data) % 4))
+    put('I', 2)
+    for name in (b'a\0', b'b\0'):
+        data.extend(bytes(-len(data) % 4) + struct.pack(f'{order}I2s', 2, name))
+    data.extend(bytes(-len(data) % 4))
+    put('I', n_points)
+    for index in range(n_points):
+        for column in range(4):
+            put('I', doubles)
+            if doubles:
+                put('d' * doubles, *(index + column + 0.5 for _ in range(doubles)))
+        put('iI', index, 7)
+    return bytes((0, kind, 0, 3)) + bytes(data)
+
+
+@pytest.mark.parametrize('kind', [0, 1, 6, 7])
+def test_other_encodings_are_read_by_their_head_too(kind):
+    """rclpy's objects of all points would keep every sample waiting for seconds."""
+    reader = TrajectoryReader(in_encoding(kind, 3))
+    assert (reader.stamp, reader.frame_id, reader.names) == (3 * 10**9 + 1, 'base', ['a', 'b'])
+    for index, (values, from_start) in enumerate(reader.points()):
+        assert [column.tolist() for column in values] == [[index + column + 0.5] * 2 for column in range(4)]
+        assert from_start == index * 10**9 + 7
+    raw = in_encoding(kind, MOST_POINTS + 1, doubles=0)
+    with (patch('semiparam_ros.ros.cdr.deserialize_message', side_effect=AssertionError('its points are read')),
+          pytest.raises(SemiparamError, match=f'has {MOST_POINTS + 1} points; expected at most {MOST_POINTS}')):
+        TrajectoryReader(raw)
 
 
 def test_trajectories_that_lack_something_are_refused_by_name():

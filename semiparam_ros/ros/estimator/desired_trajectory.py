@@ -1,8 +1,8 @@
 """The topic desired_trajectory, read from its bytes, and its answers.
 
 Trajectories read from and written to their bytes, point by point. rclpy decodes a message as a whole: one of ten
-thousand points would keep every sample waiting for a third of a second. Here (XCDR1) only the head is read at once, so
-that a message that is too long is refused before its points are touched.
+thousand points would keep every sample waiting for a third of a second. Here only the head is read at once, in whatever
+encoding the sender chose, so that a message that is too long is refused before its points are touched.
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ from typing import NamedTuple
 import numpy as np
 from geometry_msgs.msg import WrenchStamped
 from rclpy.node import Node
-from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
@@ -27,7 +26,7 @@ from semiparam_ros.errors import SemiparamError, listed
 from semiparam_ros.online.feedforward import MARKS, STATUS, Feedforward, WithheldError, status
 from semiparam_ros.online.learner import Learner
 from semiparam_ros.online.worker import Scheduler
-from semiparam_ros.ros.cdr import ENCAPSULATION, Layout, decoded, joint_state_layout
+from semiparam_ros.ros.cdr import ENCAPSULATION, Layout, joint_state_layout
 from semiparam_ros.ros.estimator.publishers import ValueMessage
 
 TOPIC = 'desired_trajectory'
@@ -35,6 +34,9 @@ MOST_POINTS = 10_000
 MOST_NAMES = 1000
 MOST_BYTES = 20_000_000
 """What a trajectory_msgs/JointTrajectory may hold to be answered."""
+
+ENCODINGS = {b'\0\0': ('>', 8), b'\0\1': ('<', 8), b'\0\6': ('>', 4), b'\0\7': ('<', 4)}
+"""Byte order, and the most bytes that a number is aligned to, of plain CDR and plain CDR2 by their two first bytes."""
 
 SEQUENCES = ('positions', 'velocities', 'accelerations', 'effort')
 
@@ -60,11 +62,9 @@ class TrajectoryReader:
     """
 
     def __init__(self, raw: bytes) -> None:
-        self._size, self._place = len(raw), len(ENCAPSULATION)
-        if not raw.startswith(ENCAPSULATION) and self._size <= MOST_BYTES:
-            raw = self._usual(raw)
-        self._raw = raw
+        self._size, self._place, self._raw = len(raw), len(ENCAPSULATION), raw
         try:
+            self._order, self._widest = ENCODINGS[bytes(raw[:2])]
             seconds, nanoseconds = self._numbers('iI')
             self.stamp = seconds * NANOSECONDS + nanoseconds
             self.frame_id = self._text()
@@ -72,7 +72,7 @@ class TrajectoryReader:
             _limit('names', count, MOST_NAMES)
             self.names = [self._text() for _ in range(count)]
             self.n_points = self._count()
-        except (error, ValueError) as failure:
+        except (error, KeyError, ValueError) as failure:
             raise self._refusal(failure) from None
         _limit('points', self.n_points, MOST_POINTS)
         _limit('bytes', self._size, MOST_BYTES)
@@ -90,21 +90,17 @@ class TrajectoryReader:
                 raise self._refusal(failure) from None
             yield TrajectoryPoint(values, seconds * NANOSECONDS + nanoseconds)
 
-    def _usual(self, raw: bytes) -> bytes:
-        """In the machine's byte order, whatever encoding the sender chose."""
-        return bytes(serialize_message(decoded(raw, JointTrajectory)))
-
     def _refusal(self, failure: Exception) -> Exception:
         if isinstance(failure, SemiparamError):
             return failure
         return SemiparamError(f'a message of {self._size} bytes is no JointTrajectory ({type(failure).__name__}).')
 
     def _align(self, size: int) -> None:
-        self._place += -(self._place - len(ENCAPSULATION)) % size
+        self._place += -(self._place - len(ENCAPSULATION)) % min(size, self._widest)
 
     def _numbers(self, code: str) -> tuple[int, ...]:
         self._align(4)
-        numbers = unpack_from(f'={code}', self._raw, self._place)
+        numbers = unpack_from(f'{self._order}{code}', self._raw, self._place)
         self._place += 4 * len(code)
         return numbers
 
@@ -124,9 +120,9 @@ class TrajectoryReader:
         if not count:
             return np.zeros(0)
         self._align(8)
-        values = np.frombuffer(self._raw, dtype=np.float64, count=count, offset=self._place)
+        values = np.frombuffer(self._raw, dtype=f'{self._order}f8', count=count, offset=self._place)
         self._place += 8 * count
-        return values
+        return values.astype(np.float64, copy=False)
 
 
 class TrajectoryWriter:
