@@ -22,10 +22,10 @@ none yet, and is not judged. Motors that are off behind brakes are not judged.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from math import exp, sqrt
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import numpy as np
 
@@ -319,11 +319,14 @@ class ContactGate:
         if not isinstance(state, dict):
             raise TypeError('the state of the gate is no mapping')
         self.forget()
-        self.closed, self._closed_since, self._closed_at = state['closed'], state['closed_since'], state['closed_at']
+        self.closed, self._closed_at = state['closed'], state['closed_at']
+        self._closed_since, *closures = _stamps([state['closed_since'], *state['closures']])
         self.changed = state['changed']
         self.refused, self.contacts, self.changes = state['counts']
-        self._calm_since, self._newest, self._speed = state['calm_since'], state['newest'], state['speed']
-        self._resting, self._awake, self._closures = state['resting'], state['awake'], state['closures']
+        self._closures = tuple(closures)
+        self._calm_since, self._newest = (None if stamp is None else _stamps([stamp])[0]
+                                          for stamp in (state['calm_since'], state['newest']))
+        self._resting, self._awake, self._speed = state['resting'], state['awake'], state['speed']
         self._familiar, self._within = float(state['familiar']), float(state['within'])
         self._closed_ratio = self._sized(state['closed_ratio'], 1)
         self.level, self._mean = self._sized(state['level'], 1), self._sized(state['mean'], 1)
@@ -466,3 +469,11 @@ def _root_mean_square(outputs: Vector, mean: Vector, std: Vector) -> float:
     for k in range(len(mean)):
         squares += ((outputs[k] - mean[k]) / std[k]) ** 2
     return sqrt(squares / len(mean))
+
+
+def _stamps(values: Sequence[object]) -> list[int]:
+    """Values that are times [ns] which messages can have; raises ValueError for others."""
+    wrong = [value for value in values if not (type(value) is int and abs(value) < 2**62)]
+    if wrong:
+        raise ValueError(f'the gate holds {wrong[0]!r}; expected a stamp in ns')
+    return cast('list[int]', list(values))

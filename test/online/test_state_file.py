@@ -566,6 +566,18 @@ def test_a_word_of_the_gate_that_is_of_another_kind_is_refused(tmp_path, name, w
         state_file.load(path, SETTINGS, BODY)
 
 
+@pytest.mark.parametrize(('name', 'wrong'), [
+    ('closed_since', math.inf), ('closed_since', 1e300), ('closed_since', 10**30), ('calm_since', 2.5),
+    ('newest', -math.inf), ('closures', 0.5), ('closures', None), ('closures', {'tuple': ['x']})])
+def test_a_time_of_the_gate_that_is_none_is_refused(tmp_path, name, wrong):
+    """It was loaded: a contact had lasted since for ever, and the next one was an internal error."""
+    path, (arrays, meta) = tmp_path / 's.npz', held(motion(70))
+    meta['gate']['dict'][name] = wrong
+    write(path, arrays, meta)
+    with pytest.raises(SemiparamError, match='is damaged'):
+        state_file.load(path, SETTINGS, BODY)
+
+
 def misquoted(value, where=''):
     """The JSON value with one entry wrong, for each entry; and where it is."""
     if isinstance(value, dict):
