@@ -82,7 +82,8 @@ class Samples:
 
     ``breaks`` [ns]: where several recordings are one, the first stamp of each but the first. ``whole``: nothing comes
     in later, so what belongs to one sample may be read from those after it too. ``averaged_s`` [s]: each value is the
-    mean over so long a time, of ``averaged_of`` samples. ``temperature`` (N, k) [deg C]: see :class:`Sample`; k = 0
+    mean over so long a time, of ``averaged_of`` samples. ``every``: they are each so-many-th of those that were
+    recorded. ``temperature`` (N, k) [deg C]: see :class:`Sample`; k = 0
     unless given.
 
     Values are kept as floats, each row without gaps. Two are the same only when they are one object, so that what is
@@ -99,6 +100,7 @@ class Samples:
     whole: bool = False
     averaged_s: float = 0.0
     averaged_of: int = 1
+    every: int = 1
     temperature: Array = field(default_factory=lambda: NO_TEMPERATURE)
 
     def __post_init__(self) -> None:

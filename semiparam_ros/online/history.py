@@ -50,11 +50,13 @@ class Rows(NamedTuple):
 
 @dataclass(frozen=True)
 class SampleBatch:
-    """Samples in order of time, and which of them were learnt; ``origin`` [ns] is where their time starts."""
+    """Samples in order of time, and which of them were learnt; ``origin`` [ns] is where their time starts, and they are
+    each ``every``-th of those that came."""
 
     rows: Sequence[Rows]
     n_joints: int
     origin: int | None
+    every: int = 1
 
     def __len__(self) -> int:
         return sum(len(rows.stamps) for rows in self.rows)
@@ -81,7 +83,8 @@ class SampleBatch:
             return None
         values, n = np.concatenate([rows.values for rows in self.rows]), self.n_joints
         return Samples(self.stamps, values[:, :n], values[:, n:2 * n], values[:, 2 * n:3 * n], values[:, 3 * n:],
-                       self.origin, temperature=np.concatenate([rows.temperature for rows in self.rows]))
+                       self.origin, every=self.every,
+                       temperature=np.concatenate([rows.temperature for rows in self.rows]))
 
     def pairs(self) -> Iterator[tuple[Sample, int]]:
         """One sample after the other."""
@@ -100,7 +103,7 @@ class SampleBatch:
                 chosen.append(rows.part(slice(start, end, step)))
                 start += -(-(end - start) // step) * step
             start, stop = start - len(rows.stamps), stop - len(rows.stamps)
-        return replace(self, rows=chosen)
+        return replace(self, rows=chosen, every=step * self.every)
 
     def chosen(self, mask: Mask) -> SampleBatch:
         """Samples of a mask (N,), copied."""

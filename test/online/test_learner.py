@@ -1124,6 +1124,17 @@ def test_a_diagnosis_looks_at_as_many_samples_as_its_share_of_a_processor_allows
         assert len(diagnosis_jobs.thinned(batch.part(0, count), 0.1)) == count
 
 
+def test_stamps_of_a_wrong_clock_are_told_as_they_came():
+    """Of samples that were thinned by two the period to convert by was said to be twice what it is."""
+    batch = batch_of((sample._replace(stamp=number * PERIOD_NS // 4), True)
+                     for number, sample in enumerate(motion(2500)))
+    for share in (1.0, 0.1):
+        looked = diagnosis_jobs.thinned(batch, share)
+        assert looked.every == (1 if share == 1.0 else 2)
+        (told,) = diagnosis_jobs.setup_problems(BODY, looked, (), (), ()).values()
+        assert told.startswith('The stamps are 0.005 s apart, but positions and velocities agree with 0.02'), told
+
+
 def test_gaps_are_told_where_the_robot_rested_and_none_of_thinning():
     """Of a rest a history keeps its last samples alone."""
     moving, history = motion(3000), History(60, 60_000, 2)

@@ -342,7 +342,7 @@ def _clock(samples: Samples, ratios: list[float], config: DiagnosisConfig) -> li
     factor = float(np.median(telling))
     if any(_agrees(factor, known, config) for known in (1.0, *MOTION_UNITS)):
         return []
-    step = typical_step(samples.time)
+    step = typical_step(samples.time) / samples.every
     return [SetupProblem('clock', None, (
         f'The stamps are {step:.4g} s apart, but positions and velocities agree with {factor * step:.4g} s: correct '
         f'the stamps (for a text table: semiparam convert --period {factor * step:.4g}, or --time-unit).'))]
