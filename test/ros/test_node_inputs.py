@@ -1,5 +1,6 @@
 """What the node makes of its input messages, without a graph."""
 
+from collections import deque
 from dataclasses import replace
 from math import inf, nan
 from types import SimpleNamespace
@@ -9,7 +10,7 @@ from rclpy.logging import LoggingSeverity
 from rclpy.qos import QoSHistoryPolicy, QoSReliabilityPolicy
 
 from semiparam_ros.bags.readings import Reading
-from semiparam_ros.ros.estimator import diagnostics
+from semiparam_ros.ros.estimator import diagnostics, subscriptions
 from semiparam_ros.ros.estimator.diagnostics import OK, InputReport, Rejections
 from semiparam_ros.ros.estimator.subscriptions import ACCELERATIONS, JOINT_STATES, InputStream
 from semiparam_ros.settings.build import build_rigid_body
@@ -28,12 +29,13 @@ def nothing_is_silent(monkeypatch):
 class Inputs:
     """An input stream of efforts, and what it told."""
 
-    def __init__(self, settings=EFFORTS, publishers=1):
+    def __init__(self, settings=EFFORTS, publishers=1, schedule=lambda work: work(), known=True):
         self.samples, self.frames, self.warned, self.jumps = [], [], [], 0
         subscription = SimpleNamespace(get_publisher_count=lambda: publishers)
         node = SimpleNamespace(create_subscription=lambda *_, **__: subscription)
-        self.stream = InputStream(node, settings, self, lambda work: work())
-        self.stream.open(JOINTS)
+        self.stream = InputStream(node, settings, self, schedule)
+        if known:
+            self.stream.open(JOINTS)
         self.rejections = Rejections()
         self.report = InputReport(self.stream, self.rejections, self.warned.append)
 
@@ -60,6 +62,25 @@ def test_a_clock_that_went_back_is_followed_though_some_messages_are_refused(oth
             inputs.take(start + number * PERIOD_NS, **(other if number % 4 == 3 else {}))
     assert inputs.jumps == 1 and len(inputs.samples) == 60
     assert inputs.stream.stream.faults['backward_stamp'] == 0
+
+
+def test_what_came_before_the_robot_was_known_is_worked_on_in_turns(monkeypatch):
+    """All of it was, before anything else: of half a minute at 200 Hz a node answered no call for 12 s."""
+    monkeypatch.setattr(subscriptions, 'TURN_S', 0.0)
+    calls = deque()
+    inputs = Inputs(schedule=calls.append, known=False)
+    for number in range(1, 21):
+        inputs.take(number * PERIOD_NS)
+    while calls:
+        calls.popleft()()
+    inputs.take(21 * PERIOD_NS)
+    inputs.stream.open(JOINTS)
+    assert not inputs.samples and len(inputs.stream.turns) == 21
+    calls.append(lambda: inputs.samples.append('a call'))
+    while calls:
+        calls.popleft()()
+    assert inputs.samples.index('a call') < 3
+    assert [each.stamp for each in inputs.samples if each != 'a call'] == [k * PERIOD_NS for k in range(1, 22)]
 
 
 def test_answers_have_the_frame_of_messages_that_were_not_refused():

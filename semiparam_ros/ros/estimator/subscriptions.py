@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -90,6 +90,7 @@ class MessageTurns:
 
     def __init__(self, schedule: Scheduler, work: Callable[[Waiting], None], most: int) -> None:
         self._schedule, self._work, self._most = schedule, work, most
+        self._kept: deque[tuple[str, Reading]] = deque()
         self._waiting: deque[Waiting] = deque()
         self._counts: Counter[str] = Counter()
         self._given_up: Counter[str] = Counter()
@@ -97,7 +98,7 @@ class MessageTurns:
         self.lost = 0
 
     def __len__(self) -> int:
-        return self._counts.total()
+        return len(self._kept) + self._counts.total()
 
     @property
     def late_s(self) -> float:
@@ -113,7 +114,15 @@ class MessageTurns:
             self._given_up[topic] += 1
             self.lost += 1
             self._drop()
-        if not self._asked:
+        self._ask()
+
+    def add_before_all(self, kept: Iterable[tuple[str, Reading]]) -> None:
+        """Messages and their topics that came before those that wait, and could not be worked on yet."""
+        self._kept.extend(kept)
+        self._ask()
+
+    def _ask(self) -> None:
+        if not self._asked and len(self):
             self._asked = True
             self._schedule(self._take_turn)
 
@@ -125,16 +134,18 @@ class MessageTurns:
 
     def _take_turn(self) -> None:
         end = time.perf_counter() + TURN_S
-        while self._waiting:
-            message = self._waiting.popleft()
-            self._counts[message.topic] -= 1
-            self._work(message)
-            self._drop()
+        while self._kept or self._waiting:
+            if self._kept:
+                self._work(Waiting(*self._kept.popleft(), time.perf_counter()))
+            else:
+                message = self._waiting.popleft()
+                self._counts[message.topic] -= 1
+                self._work(message)
+                self._drop()
             if time.perf_counter() > end:
                 break
-        self._asked = bool(self._waiting)
-        if self._asked:
-            self._schedule(self._take_turn)
+        self._asked = False
+        self._ask()
 
 
 class ClockWatch:
@@ -236,11 +247,10 @@ class InputStream:
         return [topic for topic in self.topics if topic != TEMPERATURE and (topic != ACCELERATIONS or waits)]
 
     def open(self, joints: tuple[str, ...]) -> None:
-        """The joints are known: messages that came before are handed on first."""
+        """The joints are known: messages that came before are handed on first, in turns as all others."""
         self._joints = joints
         early, self._early = self._early, []
-        for topic, reading in early:
-            self._receive(topic, reading, time.perf_counter())
+        self.turns.add_before_all(early)
 
     def publishers(self, topic: str) -> int:
         """Number of publishers of a topic that are heard."""
