@@ -179,6 +179,8 @@ def test_refused_values_leave_everything_as_it_was_and_say_why(client):
     assert 'names no known kind' in refusal(effects=['paylod'])
     assert 'nowhere' in refusal(effects=['external_force@nowhere'])
     assert client.get('variant')[0].string_value == 'SPK-ML'
+    nothing = client.set_together()
+    assert not nothing.successful and nothing.reason == 'no parameter is given; expected at least one.'
     assert client.set_together(gate__hold=0.5, gate__timeout=1.0).successful
     assert client.set_together(gate__hold=1, gate__timeout=5).successful, 'an integer does for a double'
     assert client.get('gate.hold')[0].double_value == 1.0

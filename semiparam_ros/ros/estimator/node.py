@@ -242,6 +242,8 @@ class EstimatorNode(AnsweringNode, LearnerListener):
         return result
 
     def _set_together(self, parameter_list: list[Parameter]) -> SetParametersResult:
+        if not parameter_list:  # rclpy would say that a callback of the node may be at fault
+            return SetParametersResult(successful=False, reason='no parameter is given; expected at least one.')
         for parameter in parameter_list:
             if parameter.name not in BY_NAME and not self.has_parameter(parameter.name):
                 return SetParametersResult(successful=False, reason=unknown_name(parameter.name))
