@@ -10,6 +10,7 @@ from rclpy.logging import LoggingSeverity
 from rclpy.qos import QoSHistoryPolicy, QoSReliabilityPolicy
 
 from semiparam_ros.bags.readings import Reading
+from semiparam_ros.ros.cdr import MOST_BYTES, joint_state_layout
 from semiparam_ros.ros.estimator import diagnostics, subscriptions
 from semiparam_ros.ros.estimator.diagnostics import OK, InputReport, Rejections
 from semiparam_ros.ros.estimator.subscriptions import ACCELERATIONS, JOINT_STATES, InputStream
@@ -32,8 +33,13 @@ class Inputs:
     def __init__(self, settings=EFFORTS, publishers=1, schedule=lambda work: work(), known=True):
         self.samples, self.frames, self.warned, self.jumps = [], [], [], 0
         subscription = SimpleNamespace(get_publisher_count=lambda: publishers)
-        node = SimpleNamespace(create_subscription=lambda *_, **__: subscription)
-        self.stream = InputStream(node, settings, self, schedule)
+        self.callbacks, self.failures = {}, []
+
+        def subscribe(_, topic, callback, *__, **___):
+            self.callbacks[topic] = callback
+            return subscription
+
+        self.stream = InputStream(SimpleNamespace(create_subscription=subscribe), settings, self, schedule)
         if known:
             self.stream.open(JOINTS)
         self.rejections = Rejections()
@@ -47,6 +53,9 @@ class Inputs:
 
     def clock_jumped(self):
         self.jumps += 1
+
+    def message_failed(self, topic, error):
+        self.failures.append((topic, str(error)))
 
     def take(self, stamp, frame_id='arm', names=JOINTS, value=0.1):
         row = [value] * len(names)
@@ -81,6 +90,27 @@ def test_what_came_before_the_robot_was_known_is_worked_on_in_turns(monkeypatch)
         calls.popleft()()
     assert inputs.samples.index('a call') < 3
     assert [each.stamp for each in inputs.samples if each != 'a call'] == [k * PERIOD_NS for k in range(1, 22)]
+
+
+def test_messages_are_read_in_turns_too_but_those_that_are_refused_unread(monkeypatch):
+    """Trajectories of thousands of points, each read as it came, kept a node from every call for 7 s."""
+    monkeypatch.setattr(subscriptions, 'TURN_S', 0.0)
+    calls = deque()
+    inputs = Inputs(schedule=calls.append)
+    layout = joint_state_layout('arm', JOINTS, 2, 2, 2)
+    for number in range(1, 5):
+        inputs.callbacks[JOINT_STATES](layout.write(number * PERIOD_NS, *[[0.1, 0.1]] * 3))
+        inputs.callbacks[JOINT_STATES](b'no message')
+    assert not inputs.samples and not inputs.failures and len(inputs.stream.turns) == 8
+    inputs.callbacks[JOINT_STATES](bytes(MOST_BYTES + 1))
+    assert [sentence for _, sentence in inputs.failures] == [
+        f'a JointState of {MOST_BYTES + 1} bytes is too long; expected at most {MOST_BYTES}.']
+    calls.append(lambda: inputs.samples.append('a call'))
+    while calls:
+        calls.popleft()()
+    assert inputs.samples.index('a call') < 3
+    assert [each.stamp for each in inputs.samples if each != 'a call'] == [k * PERIOD_NS for k in range(1, 5)]
+    assert inputs.failures[1:] == 4 * [(JOINT_STATES, 'a message of 10 bytes is no JointState (RMWError).')]
 
 
 def test_answers_have_the_frame_of_messages_that_were_not_refused():

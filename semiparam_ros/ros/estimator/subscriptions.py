@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator
+from functools import partial
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -26,7 +27,7 @@ from semiparam_ros.core.robot.urdf import MOST_CHARACTERS
 from semiparam_ros.core.samples import Sample
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online.worker import Scheduler
-from semiparam_ros.ros.cdr import Layout, Reader, joint_state_layout_of, wrench_layout
+from semiparam_ros.ros.cdr import MOST_BYTES, Layout, Reader, joint_state_layout_of, wrench_layout
 from semiparam_ros.ros.context import REPLACEABLE
 from semiparam_ros.ros.discovery import is_named, owner
 from semiparam_ros.settings.snapshot import Settings
@@ -73,7 +74,7 @@ class Waiting(NamedTuple):
     """A message that nobody has looked at yet, and when it came by ``perf_counter``."""
 
     topic: str
-    reading: Reading
+    reading: Reading | bytes
     arrived: float
 
 
@@ -105,8 +106,8 @@ class MessageTurns:
         """Time that the oldest has waited [s]."""
         return time.perf_counter() - self._waiting[0].arrived if self._waiting else 0.0
 
-    def add(self, topic: str, reading: Reading) -> None:
-        """One has come."""
+    def add(self, topic: str, reading: Reading | bytes) -> None:
+        """One has come, as its bytes where these are yet to be read: that takes its time of a turn too."""
         self._waiting.append(Waiting(topic, reading, time.perf_counter()))
         self._counts[topic] += 1
         if self._counts[topic] > self._most:
@@ -234,6 +235,8 @@ class InputStream:
         self.topics = [JOINT_STATES, *([WRENCH] if settings.outputs == 'wrench' else []),
                        *([ACCELERATIONS] if settings.acceleration_source != 'filter' else []),
                        *([TEMPERATURE] if settings.temperatures else [])]
+        self._readers = {topic: Reader(feed.message_class, feed.kind.read, feed.layout)
+                         for topic, feed in FEEDS.items()}
         self._subscriptions = {topic: self._subscribe(topic, self._profile()) for topic in self.topics}
         self._oversized = 0
         self._descriptions = [self._listen_to_description(durability) for durability in (
@@ -315,17 +318,8 @@ class InputStream:
         replaceable = self._settings.reliability == 'auto'
         if best_effort:
             self.best_effort.add(topic)
-        feed = FEEDS[topic]
-        read = Reader(feed.message_class, feed.kind.read, feed.layout)
-
-        def receive(raw: bytes) -> None:
-            try:
-                self.turns.add(topic, read(raw))
-            except Exception as error:
-                self._listener.message_failed(topic, error)
-
         return self._node.create_subscription(
-            feed.message_class, topic, receive, profile, raw=True,
+            FEEDS[topic].message_class, topic, partial(self._came, topic), profile, raw=True,
             event_callbacks=REPLACEABLE if replaceable else None,
             qos_overriding_options=None if replaceable and best_effort
             else QoSOverridingOptions.with_default_policies())
@@ -357,11 +351,19 @@ class InputStream:
         if text:
             self._listener.described(text)
 
+    def _came(self, topic: str, raw: bytes) -> None:
+        """Let its bytes wait for their turn, but those that are refused unread."""
+        if len(raw) > MOST_BYTES:
+            self._take(Waiting(topic, raw, time.perf_counter()))
+        else:
+            self.turns.add(topic, raw)
+
     def _take(self, message: Waiting) -> None:
+        topic, reading, arrived = message
         try:
-            self._receive(message.topic, message.reading, message.arrived)
+            self._receive(topic, reading if isinstance(reading, Reading) else self._readers[topic](reading), arrived)
         except Exception as error:
-            self._listener.message_failed(message.topic, error)
+            self._listener.message_failed(topic, error)
 
     def _receive(self, topic: str, reading: Reading, arrived: float) -> None:
         self.stopwatch.start(arrived)
