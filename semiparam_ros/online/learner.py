@@ -461,11 +461,7 @@ class Learner:
         if same_model(settings, self.built):
             return
         latest = self.history.latest() or self._at_rest()
-        try:
-            model_jobs.new_estimator(settings, self.body).predict(latest)
-        except MemoryError:
-            raise SemiparamError(f'a model with {len(settings.effects)} effects takes more memory than there is; '
-                                 'expected fewer effects.') from None
+        model_jobs.new_estimator(settings, self.body).predict(latest)
 
     def _at_rest(self) -> Sample:
         zeros = np.zeros(self.body.n_joints)

@@ -1124,17 +1124,6 @@ def test_a_diagnosis_looks_at_as_many_samples_as_its_share_of_a_processor_allows
         assert len(diagnosis_jobs.thinned(batch.part(0, count), 0.1)) == count
 
 
-def test_effects_for_which_there_is_no_memory_are_refused_in_a_sentence(monkeypatch):
-    """7600 loads, each with a start of its own, were an internal error."""
-    def too_large(*_):
-        raise MemoryError('Unable to allocate 43.1 GiB')
-
-    stage = Stage()
-    monkeypatch.setattr(model_jobs, 'new_estimator', too_large)
-    with pytest.raises(SemiparamError, match='a model with 2 effects takes more memory than there is; expected fewer'):
-        stage.learner.check(replace(SETTINGS, effects=('sensor_drift', 'payload@ft')))
-
-
 def test_stamps_of_a_wrong_clock_are_told_as_they_came():
     """Of samples that were thinned by two the period to convert by was said to be twice what it is."""
     batch = batch_of((sample._replace(stamp=number * PERIOD_NS // 4), True)
