@@ -29,7 +29,7 @@ OUTPUTS = (AUTO, 'wrench', 'effort')
 class Parameter:
     """One row of the table; ``minimum`` and ``maximum`` are inclusive and bind every item of an array.
 
-    ``words`` are texts that stand in place of a number.
+    ``words`` are texts that stand in place of a number; ``most`` is how many items an array has at most.
     """
 
     name: str
@@ -41,6 +41,7 @@ class Parameter:
     words: tuple[str, ...] = ()
     minimum: float | None = None
     maximum: float | None = None
+    most: int | None = None
     live: bool = False
 
     @property
@@ -51,6 +52,11 @@ class Parameter:
     @property
     def permitted(self) -> str:
         """The permitted values in words, empty when any value of the type will do."""
+        count = '' if self.most is None else f'at most {self.most} of them'
+        return ', '.join(filter(None, [self._permitted_values, count]))
+
+    @property
+    def _permitted_values(self) -> str:
         return ', or '.join(filter(None, [self._permitted_numbers, *self.words]))
 
     @property
@@ -81,7 +87,10 @@ class Parameter:
         if not _has_kind(value, self.kind):
             hint = f', {self.permitted}' if self.permitted else ''
             return f'{self.name} is {shown(value)}; expected {EXPECTED[self.kind]}{hint}.'
-        for item in value if isinstance(value, tuple) else (value,):
+        items = value if isinstance(value, tuple) else (value,)
+        if self.most is not None and len(items) > self.most:
+            return f'{self.name} holds {len(items)} values; expected at most {self.most}.'
+        for item in items:
             if not self._permits(item):
                 return f'{self.name} is {shown(value)}; expected {self._wanted()}.'
         return None
@@ -95,7 +104,7 @@ class Parameter:
         return above and (self.maximum is None or item <= self.maximum)
 
     def _wanted(self) -> str:
-        text = self.permitted or 'finite numbers'
+        text = self._permitted_values or 'finite numbers'
         return f'{text} [{self.unit}]' if self.unit else text
 
 
@@ -206,10 +215,10 @@ class Table:
         choices=CHOICES, live=True)
     effects: tuple[str, ...] = declare(
         'effects', (), "Declared effects, each 'kind' or 'kind@where', optionally followed by {json} with values that "
-        'a diagnosis found.', live=True)
+        'a diagnosis found.', most=200, live=True)
     effects_reference: tuple[float, ...] = declare(
         'effects_reference', (), 'Base parameters that predict the load on which effects such as load_friction depend; '
-        'a diagnosis writes them. Empty: those of the robot description.', live=True)
+        'a diagnosis writes them. Empty: those of the robot description.', most=1000, live=True)
     joint_friction: bool = declare(
         'joint_friction', True, 'With outputs effort, viscous and dry friction, rotor inertia and an offset of every '
         "output joint are part of the rigid body's model. false: the rigid body alone, as in the paper.", live=True)
@@ -318,7 +327,7 @@ class Table:
     tools: tuple[str, ...] = declare(
         'tools', (), 'Known bodies that the arm carries and that are not to be learnt: each \'LINK {"mass": kg, '
         '"centre": [x, y, z], "inertia": [ixx, ixy, ixz, iyy, iyz, izz]}\', centre in the frame of the link, inertia '
-        'about the centre, or a piece of URDF. A minus before it: one that was taken off.', live=True)
+        'about the centre, or a piece of URDF. A minus before it: one that was taken off.', most=100, live=True)
 
     # What is told of the model
     parameters_consistent: bool = declare(
