@@ -76,8 +76,8 @@ def scenario_of(args: argparse.Namespace) -> ComparisonScenario:
 
     options.require_counts(args, 'seeds')
     settings = load_params(args.params)
-    estimation = estimation_of(args)
     variants = chosen_variants(args.variants or ['all'], settings)
+    estimation = estimation_of(args, variants)
     train, test = load_bags([args.train, args.test], settings)
     seeds = range(settings.features_seed, settings.features_seed + args.seeds)
     return scenario_from(settings, train, test, subsets=args.subsets, subset_samples=args.subset_samples,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,6 +15,11 @@ if TYPE_CHECKING:
     from semiparam_ros.core.hyperparameters.estimation import Hyperparameters
     from semiparam_ros.experiments.initial_window import Estimation
     from semiparam_ros.settings import Settings
+
+OF_SELECTION = {'method': ('quasi-newton', 'ml'), 'starts': (4, 'ml'), 'white_noise': (False, 'ml'),
+                'grid_tau': (None, 'vs'), 'grid_ratio': (None, 'vs')}
+"""Options of the estimation, by their names in the arguments, with what they are when not given and how a variant
+chooses its hyperparameters to which they say something."""
 
 HELP = 'Estimate the hyperparameters from the start of a recording and write a ROS parameter file with them.'
 
@@ -45,12 +51,20 @@ def add_estimation_options(parser: argparse.ArgumentParser) -> None:
                        help='ratios sigma / rho that the VS variants try')
 
 
-def estimation_of(args: argparse.Namespace) -> Estimation:
-    """The checked options. Raises SemiparamError for a grid of one point or a count below one."""
+def estimation_of(args: argparse.Namespace, variants: Sequence[str]) -> Estimation:
+    """The checked options. Raises SemiparamError for a grid of one point, a count below one, or an option that says
+    nothing to any of the variants."""
     from semiparam_ros.core.hyperparameters.validation import Grid
+    from semiparam_ros.core.variants import VARIANTS, single
     from semiparam_ros.experiments.initial_window import Estimation
 
     options.require_counts(args, 'starts', 'jobs')
+    selections = {VARIANTS[single(variant)].selection for variant in variants}
+    for option, (default, selection) in OF_SELECTION.items():
+        if getattr(args, option) != default and selection not in selections:
+            heard = ', '.join(name for name, variant in VARIANTS.items() if variant.selection == selection)
+            raise SemiparamError(f'--{option.replace("_", "-")} says nothing to {", ".join(variants)}; expected one of '
+                                 f'{heard} beside it.')
     grid = Grid()
     if args.grid_tau or args.grid_ratio:
         grid = Grid(tuple(args.grid_tau or grid.tau), tuple(args.grid_ratio or grid.ratio))
@@ -72,7 +86,7 @@ def run(args: argparse.Namespace) -> int:
     if len(variants) > 1:
         raise SemiparamError(f'--variant is {args.variant}; expected one of {", ".join(variants)}.')
     settings = replace(settings, variant=variants[0])
-    estimation = estimation_of(args)
+    estimation = estimation_of(args, variants)
     bag = load_bags([args.bag], settings)[0]
     options.remark(build_rigid_body(settings, bag.robot_description))
     gathered = gathered_from(bag.samples, settings.initial_samples)
