@@ -64,6 +64,8 @@ def run(args: argparse.Namespace) -> int:
                                        **as_dictionary(comparison)})
     write_text(args.output, text)
     show(comparison)
+    if scenario.subsets[0][0] < len(scenario.train):
+        options.remark_on_learnt([args.test], [args.train])
     options.tell(f'page: {args.output}')
     return 0
 
@@ -105,7 +107,7 @@ def command_line(args: argparse.Namespace) -> list[str]:
 
 def show(comparison: Comparison) -> None:
     """The main columns of the table, the findings and the verdict, for a terminal of 80 columns."""
-    from semiparam_ros.experiments.comparison import verdict
+    from semiparam_ros.experiments.comparison import PARAMETRIC, verdict
     from semiparam_ros.report.comparison_page import cells, columns
 
     chosen = [column for column in columns(comparison)
@@ -119,5 +121,5 @@ def show(comparison: Comparison) -> None:
         word = 'open' if finding.holds is None else 'holds' if finding.holds else 'does not hold'
         options.output.print(f'{word}: {finding.statement} {finding.evidence}')
     options.output.print(verdict(comparison.figures, comparison.findings))
-    if len(comparison.scenario.seeds) == 1:
+    if len(comparison.scenario.seeds) == 1 and set(comparison.figures) != {PARAMETRIC}:
         options.console.print('One feature draw proves little: --seeds 3 shows the spread.')

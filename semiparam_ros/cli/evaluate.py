@@ -125,6 +125,7 @@ def run(args: argparse.Namespace) -> int:
     results = {variant: score.result(args.series) for variant, score in scores.items()}
     print_scores(options.output, results)
     print_outputs(options.output, results, body.output_names, body.output_units)
+    options.remark_on_learnt(args.bags, args.train, settings.learning and not args.frozen)
     if settings.features_count == 'auto':
         chosen = ', '.join(f'{result["features"]} ({variant})' for variant, result in results.items()
                            if result['features'])

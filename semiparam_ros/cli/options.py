@@ -103,6 +103,19 @@ def require_distinct(recordings: Iterable[Path | None]) -> None:
             seen.add(os.path.realpath(path))
 
 
+def remark_on_learnt(judged: Sequence[Path], learnt: Sequence[Path], learning: bool = False) -> None:
+    """Say on standard error which recordings are judged though they were learnt before.
+
+    :param learning: those that are judged are learnt meanwhile.
+    """
+    seen = {os.path.realpath(path) for path in learnt}
+    for path in judged:
+        if os.path.realpath(path) in seen:
+            console.print(f'{path} is judged after it was learnt: its errors say nothing of another recording.',
+                          soft_wrap=True)
+        seen.update([os.path.realpath(path)] * learning)
+
+
 def require_counts(args: argparse.Namespace, *options: str) -> None:
     """Raises SemiparamError where an option that counts something is below one."""
     for option in options:

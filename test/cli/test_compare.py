@@ -155,11 +155,18 @@ def test_all_seven_models_are_compared_unless_told(compare, folder):
     assert found['verdict'] in page
 
 
-def test_one_recording_serves_as_both(folder):
-    bag = folder / 'train.mcap'
-    found = document(folder / 'both.json', 'compare', bag, bag, '--params', folder / 'arm.yaml', '--variant', 'P',
-                     '--train-samples', 200, '--test-from', 200, '--subsets', 2, '-o', folder / 'p.html')
+def test_one_recording_serves_as_both(folder, capsys):
+    """Of the part that was learnt, a sentence says so."""
+    bag, link = folder / 'train.mcap', folder / 'link.mcap'
+    link.symlink_to(bag)
+    cut = ['--train-samples', 200, '--params', folder / 'arm.yaml', '--variant', 'P', '--subsets', 2, '--seeds', 1,
+           '-o', folder / 'p.html']
+    found = document(folder / 'both.json', 'compare', bag, bag, '--test-from', 200, *cut)
     assert found['subsets'] == [[200, 250], [250, 300]]
+    assert capsys.readouterr().err == ''  # neither of what was learnt, nor of the features that P has not
+    assert semiparam('compare', bag, link, '--test-from', 199, *cut) == 0
+    assert capsys.readouterr().err == f'{link} is judged after it was learnt: its errors say nothing of another ' \
+                                      'recording.\n'
 
 
 def test_the_fitted_file_gives_what_was_fitted(folder):

@@ -33,6 +33,23 @@ def document_of(params, path, *arguments):
     return document(path, 'evaluate', *arguments, '--params', params)
 
 
+@pytest.mark.parametrize('beside', [(), ('--train',)])
+def test_a_recording_judged_after_it_was_learnt_is_said(beside, params, recording, tmp_path, capsys):
+    link = tmp_path / 'link.mcap'
+    link.symlink_to(recording)
+    assert semiparam('evaluate', recording, *beside, link, '--params', params, '--variant', 'P') == 0
+    judged = recording if beside else link
+    assert capsys.readouterr().err.endswith(f'{judged} is judged after it was learnt: its errors say nothing of '
+                                            'another recording.\n')
+
+
+def test_what_is_judged_twice_and_never_learnt_needs_no_remark(params, recording, tmp_path, capsys):
+    other = write_arm(tmp_path / 'other.mcap', 400, seed=3)
+    assert semiparam('evaluate', recording, recording, '--train', other, '--frozen', '--params', params,
+                     '--variant', 'P') == 0
+    assert 'after it was learnt' not in capsys.readouterr().err
+
+
 def test_the_external_wrench_as_a_table(params, recording, tmp_path, capsys):
     """What the model leaves of each sample, as the node tells it; of one variant alone."""
     table = tmp_path / 'external.csv'
