@@ -38,15 +38,18 @@ class BagWriter:
     name ``path`` when everything is written, and is removed when the ``with`` block ends by an exception.
     """
 
-    def __init__(self, path: str | os.PathLike[str], compression: str = 'zstd', chunk_bytes: int = CHUNK_BYTES) -> None:
+    def __init__(self, path: str | os.PathLike[str], compression: str = 'zstd', chunk_bytes: int = CHUNK_BYTES,
+                 overwrite: bool = False) -> None:
         """Open the file, SemiparamError where that fails; ``compression``: 'zstd', 'lz4' or 'none'.
+
+        :param overwrite: also where another writer's ``PATH.partial`` is.
         """
         if compression not in _COMPRESSION:
             raise SemiparamError(f'bag compression {compression!r} is unknown: expected one of {list(_COMPRESSION)}.')
         self.path = Path(path)
         self.partial_path = partial_path(self.path)
         self.message_count = 0
-        self._file = _open_for_writing(self.partial_path)
+        self._file = _open_for_writing(self.partial_path, overwrite)
         self._writer = Writer(self._file, chunk_size=chunk_bytes, compression=_COMPRESSION[compression])
         self._writer.start(profile='ros2', library='semiparam_ros')
         self._schemas: dict[tuple[str, Schema], int] = {}
@@ -151,8 +154,13 @@ class BagWriter:
             raise
 
 
-def _open_for_writing(path: Path) -> IO[bytes]:
+def _open_for_writing(path: Path, overwrite: bool) -> IO[bytes]:
     try:
-        return path.open('wb')
+        if overwrite:
+            path.unlink(missing_ok=True)
+        return path.open('xb')
+    except FileExistsError:
+        raise SemiparamError(f'{str(path)!r} holds a bag that broke off, or is being made: choose another name, or '
+                             'remove it.') from None
     except OSError as error:
         raise SemiparamError(f'no bag can be written to {str(path.parent)!r}: {error.strerror}.') from error

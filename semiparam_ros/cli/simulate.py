@@ -70,14 +70,15 @@ def _add_robot_options(group: argparse._ArgumentGroup) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Simulate, write, and say what was hidden."""
+    from semiparam_ros.bags.writer import partial_path
     from semiparam_ros.simulation import simulate
 
     if 'list' in args.effects:
         return _list_kinds(args.outputs or 'wrench')
     if args.bag is None:
         raise SemiparamError('the name of the recording to write is missing; expected OUT.mcap.')
-    require_places(args.bag, args.truth, inputs=[args.params, args.urdf])
     require_bag_name(args.bag)
+    require_places(args.bag, partial_path(args.bag), args.truth, inputs=[args.params, args.urdf])
     recording = simulate(scenario_of(args))
     write_bag(args.bag, recording)
     if args.truth:

@@ -1,5 +1,6 @@
 """Bags written and read back: messages, times, orders, quality of service, formats, refusals."""
 
+import os
 import random
 import re
 from pathlib import Path
@@ -15,6 +16,7 @@ from rosbags.rosbag2 import Writer as Rosbag2Writer
 from rosbags.rosbag2.enums import CompressionFormat, CompressionMode
 from rosbags.typesys import Stores, get_typestore
 
+from semiparam_ros.bags import writer
 from semiparam_ros.bags.loading import load_samples, recorded_description, require_same_robot
 from semiparam_ros.bags.qos import LATCHED, Qos, agreed, dump_profiles, parse_profiles
 from semiparam_ros.bags.reader import MergedBag, open_bag
@@ -524,10 +526,25 @@ def test_a_recording_of_some_joints_names_the_parameter_that_tells_which(tmp_pat
         load_samples(path, Settings(sensor_frame='ft'))
 
 
+def test_two_writers_of_one_bag_do_not_write_over_each_other(tmp_path):
+    """Both wrote into the same file, and the one that failed removed it under the other."""
+    with BagWriter(tmp_path / 'a.mcap') as first:
+        first.write('/text', STRING, {'data': 'first'}, 0)
+        with pytest.raises(SemiparamError, match=r"a\.mcap\.partial' holds a bag that broke off, or is being made"):
+            BagWriter(tmp_path / 'a.mcap')
+        first.write('/text', STRING, {'data': 'more'}, 1)
+    with open_bag(tmp_path / 'a.mcap') as bag:
+        assert [message.data.data for message in bag.messages()] == ['first', 'more']
+    (tmp_path / 'a.mcap.partial').write_bytes(b'of one that was killed')
+    with BagWriter(tmp_path / 'a.mcap', overwrite=True) as third:
+        third.write('/text', STRING, {'data': 'third'}, 0)
+    assert [path.name for path in tmp_path.iterdir()] == ['a.mcap']
+
+
 @pytest.mark.parametrize('action', ['flush', 'close'])
-def test_a_full_disk_is_one_sentence(tmp_path, action):
+def test_a_full_disk_is_one_sentence(tmp_path, monkeypatch, action):
     """A recorder whose disk filled up ended by an internal error."""
-    (tmp_path / 'a.mcap.partial').symlink_to('/dev/full')
+    monkeypatch.setattr(writer, '_open_for_writing', lambda *_: os.fdopen(os.open('/dev/full', os.O_WRONLY), 'wb'))
     bag = BagWriter(tmp_path / 'a.mcap')
     bag.write('/text', STRING, {'data': 'text'}, 0)
     with pytest.raises(SemiparamError, match=r"a\.mcap' cannot be written: No space left on device"):

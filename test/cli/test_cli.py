@@ -102,6 +102,7 @@ def test_a_lone_name_gets_the_overview(capsys):
     ('evaluate a.mcap --json ../x/../x/a.mcap', 'cannot write'),
     ('simulate b.txt', "'b.txt' is no name for an MCAP bag"),
     ('simulate b.mcap --truth nowhere/b.json', 'cannot write nowhere/b.json'),
+    ('simulate b.mcap --truth b.mcap.partial', 'b.mcap.partial is named for two results; expected another name'),
     ('convert a.mcap b.mcap --joint elbow=b', "no joint 'elbow' to rename; it has r_elbow"),
     ('convert a.mcap b.mcap --effort-factors elbow=2', "effort_factors names 'elbow'"),
     ('convert a.mcap b.mcap --topic /wrench=/a --topic /wrench=/b', "'/wrench' is to become '/a' and '/b'"),

@@ -104,7 +104,7 @@ class RecordSession:
         """
         counted = self._options.limits.count_topic
         require_topic_names([*self._options.topics, *([] if counted is None else [counted])])
-        writer = BagWriter(self._options.path, self._options.compression)
+        writer = BagWriter(self._options.path, self._options.compression, overwrite=self._options.overwrite)
         try:
             return self._record(writer)
         finally:
