@@ -9,13 +9,14 @@ from collections import Counter, defaultdict
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 from mcap.records import Channel
 
 from semiparam_ros.bags import mcap_format, qos, recovery, schemas
 from semiparam_ros.bags.base import BagReader, Losses, Message, TopicInfo
 from semiparam_ros.bags.mcap_format import MAGIC, Damage, Entry, Incomplete, Index, Segment, read_summary
-from semiparam_ros.bags.schemas import UNKNOWN, Schema
+from semiparam_ros.bags.schemas import UNKNOWN, Layout, Schema
 from semiparam_ros.errors import SemiparamError
 
 
@@ -123,19 +124,43 @@ def _type(index: Index, channel: Channel) -> str:
     return schemas.full_type(schema.name) if schema else ''
 
 
+def _schema(index: Index, channel: Channel) -> Schema:
+    schema = index.definitions.schemas.get(channel.schema_id)
+    return Schema(schema.encoding, schema.data.decode(errors='replace')) if schema else UNKNOWN
+
+
+class _Kind(NamedTuple):
+    """Type, encoding and definition of messages: those of two kinds cannot be read as one."""
+
+    type: str
+    encoding: str
+    layout: Layout | None
+
+    def beside(self, main: _Kind) -> str:
+        """Words for messages that are not of the main kind."""
+        if self[:2] == main[:2]:
+            return f'{self.type} of another definition'
+        return f'{self.type} ({self.encoding}), not {main.type} ({main.encoding})'
+
+
+def _kind(index: Index, channel: Channel) -> _Kind:
+    type_name = _type(index, channel)
+    return _Kind(type_name, channel.message_encoding, schemas.layout(type_name, _schema(index, channel)))
+
+
 def _one_type_each(index: Index) -> tuple[dict[int, str], list[str]]:
-    """Topic of each channel that is read, and what is said of the others: a topic is of the type and encoding that most
-    of its messages have."""
+    """Topic of each channel that is read, and what is said of the others: a topic is of the type, encoding and
+    definition that most of its messages have."""
+    kinds = {channel.id: _kind(index, channel) for channel in index.definitions.channels.values()}
     channels = index.definitions.channels.values()
-    counts: dict[str, Counter[tuple[str, str]]] = defaultdict(Counter)
+    counts: dict[str, Counter[_Kind]] = defaultdict(Counter)
     for channel in channels:
-        counts[channel.topic][_type(index, channel), channel.message_encoding] += index.counts.get(channel.id, 0)
-    main = {topic: types.most_common(1)[0][0] for topic, types in counts.items()}
-    reasons = [f'{count} messages on {topic} are {type_name} ({encoding}), not {" (".join(main[topic])})'
-               for topic, types in sorted(counts.items())
-               for (type_name, encoding), count in types.items() if count and (type_name, encoding) != main[topic]]
-    return {channel.id: channel.topic for channel in channels
-            if (_type(index, channel), channel.message_encoding) == main[channel.topic]}, reasons
+        counts[channel.topic][kinds[channel.id]] += index.counts.get(channel.id, 0)
+    main = {topic: of_topic.most_common(1)[0][0] for topic, of_topic in counts.items()}
+    reasons = [f'{count} messages on {topic} are {kind.beside(main[topic])}'
+               for topic, of_topic in sorted(counts.items())
+               for kind, count in of_topic.items() if count and kind != main[topic]]
+    return {channel.id: channel.topic for channel in channels if kinds[channel.id] == main[channel.topic]}, reasons
 
 
 def _topics(index: Index, read: Mapping[int, str]) -> dict[str, TopicInfo]:
@@ -144,15 +169,14 @@ def _topics(index: Index, read: Mapping[int, str]) -> dict[str, TopicInfo]:
     for channel in sorted(index.definitions.channels.values(), key=lambda channel: channel.topic):
         if channel.id not in read:
             continue
-        schema = index.definitions.schemas.get(channel.schema_id)
         type_name = _type(index, channel)
         offers = qos.parse_profiles(channel.metadata.get('offered_qos_profiles'))
         before = topics.get(channel.topic)
         if before:
             offers = before.offers + offers
         count = index.counts.get(channel.id, 0) + (before.count if before else 0)
-        text = Schema(schema.encoding, schema.data.decode(errors='replace')) if schema else UNKNOWN
-        topics[channel.topic] = TopicInfo(type_name, count, qos.agreed(offers), offers, text, channel.message_encoding)
+        topics[channel.topic] = TopicInfo(type_name, count, qos.agreed(offers), offers, _schema(index, channel),
+                                          channel.message_encoding)
     return topics
 
 

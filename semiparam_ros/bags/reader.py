@@ -12,7 +12,7 @@ from typing import Any
 
 import yaml
 
-from semiparam_ros.bags import qos
+from semiparam_ros.bags import qos, schemas
 from semiparam_ros.bags.base import BagReader, Losses, Message, TopicInfo
 from semiparam_ros.bags.mcap_reader import McapBag, is_mcap
 from semiparam_ros.errors import SemiparamError
@@ -44,6 +44,10 @@ class MergedBag(BagReader):
         if before.encoding != info.encoding:
             raise SemiparamError(f'topic {topic} is encoded as {info.encoding!r} in {str(reader.path)!r} but '
                                  f'{before.encoding!r} in another bag: they cannot be merged.')
+        layouts = {schemas.layout(each.type, each.schema) for each in (before, info)}
+        if len(layouts - {None}) > 1:
+            raise SemiparamError(f'topic {topic} holds {info.type} in {str(reader.path)!r} by another definition than '
+                                 'in another bag: they cannot be merged.')
         offers = before.offers + info.offers
         return replace(before, count=before.count + info.count, offers=offers, qos=qos.agreed(offers))
 

@@ -13,12 +13,13 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from mcap_ros2._dynamic import generate_dynamic, serialize_dynamic
+from mcap_ros2._dynamic import _for_each_msgdef, generate_dynamic, serialize_dynamic
 
 from semiparam_ros.errors import SemiparamError
 
 Decoder = Callable[[bytes], Any]
 Encoder = Callable[[Any], bytes]
+Layout = tuple[tuple[str, tuple[str, ...]], ...]
 
 
 class Schema(NamedTuple):
@@ -100,6 +101,28 @@ def decoder(type_name: str, schema: Schema = UNKNOWN) -> Decoder | None:
             if text is not None:
                 return generate_dynamic(type_name, text)[type_name]
         except Exception:  # a definition that its parser refuses, in whatever way, is one we do not have
+            continue
+    return None
+
+
+@cache
+def layout(type_name: str, schema: Schema = UNKNOWN) -> Layout | None:
+    """The fields of a type and of those that it is made of, without what says nothing of the bytes of its messages,
+    such as comments; None when nothing defines it."""
+    found = dict[str, tuple[str, ...]]()
+
+    def take(_: str, name: str, definition: Any) -> None:
+        if not name.startswith('builtin_interfaces/'):  # some recorders leave them out
+            found[name] = tuple(f'{field.type} {field.name}' for field in definition.fields)
+
+    for known in (schema, UNKNOWN):
+        try:
+            text = message_text(type_name, known)
+            if text is not None:
+                found.clear()
+                _for_each_msgdef(type_name, text, take)
+                return tuple(sorted(found.items()))
+        except Exception:  # as above
             continue
     return None
 

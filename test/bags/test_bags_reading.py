@@ -115,6 +115,30 @@ def test_equal_times_keep_the_order_of_recording_where_the_clock_went_back(tmp_p
     assert texts(path) == ['2', '0', '1', '3', '4']
 
 
+def two_definitions(path, *texts):
+    """A bag of a message on /a by each of some definitions of one type."""
+    with path.open('wb') as file:
+        writer = McapWriter(file)
+        writer.start('ros2', 'test')
+        for number, text in enumerate(texts):
+            channel = writer.register_channel('/a', 'cdr', writer.register_schema('own/msg/Own', 'ros2msg', text))
+            writer.add_message(channel, number, bytes((0, 1, 0, 0, 48 + number, 0, 0, 0)), number)
+        writer.finish()
+    return path
+
+
+def test_a_topic_is_read_by_one_definition_of_its_type(tmp_path):
+    """All messages were read, and written by convert, by the definition that came last."""
+    plain, other = b'uint32 x', b'uint16 y\nuint16 x'
+    path = two_definitions(tmp_path / 'bag.mcap', plain, b'# the same\nuint32  x  # in words', other)
+    with open_bag(path) as bag:
+        assert [message.data.x for message in bag.messages()] == [48, 49] and bag.topics['/a'].count == 2
+        assert '1 messages on /a are own/msg/Own of another definition; 2 of 3 messages read' in bag.losses.sentence
+    bags = [open_bag(two_definitions(tmp_path / f'{number}.mcap', text)) for number, text in enumerate((plain, other))]
+    with pytest.raises(SemiparamError, match=r'topic /a holds own/msg/Own in .* by another definition than in another'):
+        MergedBag('both', bags)
+
+
 def test_order_by_publish_or_header_time(tmp_path):
     path = tmp_path / 'bag.mcap'
     with BagWriter(path) as bag:
