@@ -14,7 +14,7 @@ from semiparam_ros.bags import schemas
 from semiparam_ros.bags.header_stamp import read_stamp
 from semiparam_ros.bags.qos import Qos
 from semiparam_ros.bags.schemas import UNKNOWN, Decoder, Schema
-from semiparam_ros.errors import SemiparamError
+from semiparam_ros.errors import SemiparamError, listed
 
 SHOWN = 4
 """Ranges of bytes that a sentence names."""
@@ -28,7 +28,8 @@ class Losses:
     """The account of a bag: falsy when nothing is wrong with it.
 
     ``intact`` is the number of messages the bag held before it was damaged, None where nothing tells;
-    ``byte_ranges`` are the half-open ranges of the file that could not be used.
+    ``byte_ranges`` are the half-open ranges of the file that could not be used. ``unlisted`` are the files of a folder
+    that its metadata.yaml does not name.
     """
 
     path: str = ''
@@ -39,15 +40,23 @@ class Losses:
     byte_ranges: list[tuple[int, int]] = field(default_factory=list)
     reasons: list[str] = field(default_factory=list)
     undecodable: dict[str, int] = field(default_factory=dict)
+    unlisted: tuple[str, ...] = ()
 
     def __bool__(self) -> bool:
+        return bool(self._damaged or self.unlisted)
+
+    @property
+    def _damaged(self) -> bool:
         return bool(self.chunks_lost or self.byte_ranges or self.reasons or self.undecodable)
 
     @property
     def sentence(self) -> str:
-        """The whole account in one sentence, '' when nothing is wrong."""
-        if not self:
-            return ''
+        """The whole account, '' when nothing is wrong."""
+        left = f'{self.path!r} also holds {listed(self.unlisted)}, which its metadata.yaml does not name: not read.'
+        return ' '.join([self._damage] * self._damaged + [left] * bool(self.unlisted))
+
+    @property
+    def _damage(self) -> str:
         of = '' if self.intact is None else f' of {self.intact}'
         parts = [*self.reasons, f'{self.saved}{of} messages read']
         if self.chunks_lost:
@@ -101,6 +110,7 @@ class BagReader(ABC):
         self.path = Path(path)
         self.topics = {}
         self.start_ns = self.end_ns = 0
+        self.unlisted: tuple[str, ...] = ()
         self._undecodable: dict[str, int] = {}
 
     @property

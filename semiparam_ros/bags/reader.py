@@ -59,8 +59,9 @@ class MergedBag(BagReader):
     def losses(self) -> Losses:
         parts = [reader.losses for reader in self.readers]
         if len(parts) == 1:
-            return replace(parts[0], undecodable=dict(self._undecodable))
-        total = Losses(str(self.path), undecodable=dict(self._undecodable))
+            own = replace(parts[0], undecodable=dict(self._undecodable))
+            return replace(own, path=str(self.path), unlisted=self.unlisted) if self.unlisted else own
+        total = Losses(str(self.path), undecodable=dict(self._undecodable), unlisted=self.unlisted)
         total.saved = sum(part.saved for part in parts)
         known = [part.intact for part in parts if part.intact is not None]
         total.intact = sum(known) if len(known) == len(parts) else None
@@ -120,16 +121,19 @@ def _open_file(path: Path) -> BagReader:
 def _open_directory(path: Path) -> BagReader:
     """A rosbag2 directory: its MCAP files are read here, whatever else it holds is left to ``rosbags``."""
     description = _metadata(path)
-    files = _listed_files(path, description.get('relative_file_paths'))
+    found = sorted([*path.glob('*.mcap'), *path.glob('*.mcap.partial'), *path.glob('*.db3')])
+    # A recorder that was killed has not written its metadata.yaml.
+    files = _listed_files(path, description.get('relative_file_paths')) or found
     packed = str(description.get('compression_mode') or 'none').lower() in ('file', 'message')
-    if not files:
-        # A recorder that was killed has not written its metadata.yaml.
-        files = sorted([*path.glob('*.mcap'), *path.glob('*.mcap.partial'), *path.glob('*.db3')])
     if not files:
         raise SemiparamError(f'{str(path)!r} is no bag: expected a directory with metadata.yaml, .mcap or .db3 files.')
     if packed or (description and files[0].suffix == '.db3'):
-        return _sqlite_bag(path)
-    return MergedBag(path, [_open_file(file) for file in files])
+        bag = _sqlite_bag(path)
+    else:
+        bag = MergedBag(path, [_open_file(file) for file in files])
+    # A player leaves NAME.mcap beside NAME.mcap.zstd, which it has unpacked.
+    bag.unlisted = tuple(file.name for file in found if not any(each.name.startswith(file.name) for each in files))
+    return bag
 
 
 def _metadata(path: Path) -> dict[str, Any]:

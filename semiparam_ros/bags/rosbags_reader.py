@@ -135,7 +135,7 @@ class _RosbagsBag(BagReader):
         if self._saved is None:
             self._saved = sum(1 for _ in self._log_order(self.topics.keys(), None, None))
         return Losses(str(self.path), self._saved, self.message_count, reasons=list(self._reasons),
-                      undecodable=dict(self._undecodable))
+                      undecodable=dict(self._undecodable), unlisted=self.unlisted)
 
     def close(self) -> None:
         self._reader.close()

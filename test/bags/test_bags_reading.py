@@ -293,6 +293,17 @@ def test_a_list_of_files_that_is_none_is_passed_over(names, tmp_path):
     assert len(texts(path, topics=['/chatter'])) == 20
 
 
+@pytest.mark.parametrize('plugin', list(StoragePlugin))
+def test_files_that_a_directory_does_not_name_are_said(plugin, tmp_path):
+    """Half of a recording was missing without a word, of which the metadata.yaml of the other half was left."""
+    path = rosbag2(tmp_path / 'bag', plugin)
+    first = next(file for file in path.iterdir() if file.suffix in ('.mcap', '.db3'))
+    (path / f'bag_1{first.suffix}').write_bytes(first.read_bytes())
+    with open_bag(path) as bag:
+        assert sum(1 for _ in bag.messages()) == 40 and bag.losses.sentence == \
+            f"'{path}' also holds bag_1{first.suffix}, which its metadata.yaml does not name: not read."
+
+
 def test_a_file_that_a_directory_lacks_is_named(tmp_path):
     """The directory was, which is there."""
     path = rosbag2(tmp_path / 'bag', StoragePlugin.MCAP)

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from semiparam_ros.bags.base import BagReader, TopicInfo
+from semiparam_ros.bags.base import BagReader, Losses, TopicInfo
 from semiparam_ros.bags.reader import MergedBag, open_bag
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.playback.flow_control import Followers, FollowerSilent
@@ -240,7 +240,8 @@ def _open(paths: Sequence[Path]) -> BagReader:
 
 
 def _losses(bag: BagReader) -> tuple[str, ...]:
-    """One sentence for each damaged file."""
-    return tuple(losses.sentence for each in getattr(bag, 'readers', (bag,))
-                 if (losses := each.losses))
-
+    """One sentence for each damaged file, and for each folder that holds more than it names."""
+    readers = getattr(bag, 'readers', None)
+    accounts = [bag.losses] if readers is None else [*(each.losses for each in readers),
+                                                     Losses(str(bag.path), unlisted=bag.unlisted)]
+    return tuple(losses.sentence for losses in accounts if losses)
