@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
-from semiparam_ros.cli.options import add_json_option, console, require_places, write_json
+from semiparam_ros.cli.options import add_json_option, console, require_distinct, require_places, write_json
+from semiparam_ros.errors import SemiparamError
 
 if TYPE_CHECKING:
     from semiparam_ros.playback.options import ReplayOptions
+
+Name = TypeVar('Name', str, str | None)
+
+OF_FOLLOWERS = {'window': 100, 'answer_timeout': 60.0}
+"""Options that say nothing without a follower, by their names in the arguments, with what they are when not given."""
 
 HELP = 'Play bags on ROS topics: at any rate, or as fast as the estimator follows without losing a sample.'
 
@@ -83,6 +90,7 @@ def run(args: argparse.Namespace) -> int:
     from semiparam_ros.ros.replay.session import ReplaySession
 
     require_places(args.json, inputs=[*args.bags, args.qos_profile_overrides_path])
+    require_distinct(args.bags)
     account = ReplaySession(_options(args), console, args.ros_args).run()
     for sentence in account.sentences():
         console.print(sentence, soft_wrap=True)
@@ -98,17 +106,31 @@ def _options(args: argparse.Namespace) -> ReplayOptions:
     from semiparam_ros.playback.timeline import Cut, Selection
     follow = None
     if args.follow or args.as_fast_as_followed:
-        answers = dict(map(options.parse_follow, args.follow or [options.DEFAULT_FOLLOW]))
+        answers = _one_each('--follow', map(options.parse_follow, args.follow or [options.DEFAULT_FOLLOW]))
         follow = options.FollowOptions(answers, args.window, args.answer_timeout)
+    for name, default in OF_FOLLOWERS.items():
+        if follow is None and getattr(args, name) != default:
+            raise SemiparamError(f'--{name.replace("_", "-")} is for followers; expected --follow or '
+                                 '--as-fast-as-followed beside it.')
     return options.ReplayOptions(
         bags=tuple(args.bags), rate=_rate(args), loop=args.loop,
         delay_s=args.delay, cut=Cut(args.start_offset, args.duration, args.until, args.until_stamp),
         selection=Selection(tuple(args.topics), args.regex, tuple(args.exclude), args.exclude_regex),
-        remap=dict(map(options.parse_remap, args.remap)), order=args.order, restamp=args.restamp,
+        remap=_one_each('--remap', map(options.parse_remap, args.remap)), order=args.order, restamp=args.restamp,
         clock_hz=args.clock, clock_before_each=args.clock_topics_all, paused=args.start_paused,
         keyboard=not args.disable_keyboard_controls, progress=not args.quiet,
         qos_overrides=args.qos_profile_overrides_path, wait_for_subscribers=args.wait_for_subscribers,
         wait_s=args.wait_timeout, wait_for_all_acked_s=args.wait_for_all_acked, follow=follow)
+
+
+def _one_each(option: str, pairs: Iterable[tuple[str, Name]]) -> dict[str, Name]:
+    """Pairs by their first topics; raises SemiparamError where one has two seconds."""
+    found = dict[str, Name]()
+    for topic, other in pairs:
+        if found.setdefault(topic, other) != other:
+            raise SemiparamError(f'{option} names {topic} with {found[topic] or "none"} and with {other or "none"}; '
+                                 'expected one of them.')
+    return found
 
 
 def _rate(args: argparse.Namespace) -> float | None:

@@ -7,6 +7,7 @@ import select
 import signal
 import sys
 import time
+from io import StringIO
 from math import inf, nan
 from pathlib import Path
 from types import SimpleNamespace
@@ -30,6 +31,7 @@ from semiparam_ros.bags.writer import BagWriter
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.playback.options import FollowOptions, ReplayOptions
 from semiparam_ros.playback.player import Player
+from semiparam_ros.playback.timeline import Selection
 from semiparam_ros.ros.replay.controls import ReplayControls
 from semiparam_ros.ros.replay.follower import Follower
 from semiparam_ros.ros.replay.session import ReplaySession
@@ -346,9 +348,23 @@ def test_mistakes_are_one_sentence(tmp_path, arguments, sentence):
 
 
 @pytest.mark.parametrize(('arguments', 'sentence'), [(['--topics', '/wrnch'], 'has no topic /wrnch'),
-                                                     (['--rate', 0.0], 'rate must be a finite number above 0')])
+                                                     (['--rate', 0.0], 'rate must be a finite number above 0'),
+                                                     (['--remap', '/wrench:=/a', '/wrench:=/b'],
+                                                      '--remap names /wrench with /a and with /b; expected one'),
+                                                     (['--follow', '/a/b=/wrench', '/a/b'],
+                                                      '--follow names /a/b with /wrench and with none; expected one'),
+                                                     (['--window', 3], '--window is for followers; expected --follow'),
+                                                     (['--answer-timeout', 3], '--answer-timeout is for followers'),
+                                                     (['--follow', '/a/b=/wrnch'],
+                                                      '/a/b cannot answer /wrnch, which is not played: expected one')])
 def test_a_senseless_playback_is_refused(tmp_path, capsys, arguments, sentence):
     assert sentence in refusal(capsys, 'replay', write_robot(tmp_path / 'a.mcap', 3), *arguments)
+
+
+def test_a_bag_is_not_played_twice_at_once(tmp_path, capsys):
+    """Each message came twice."""
+    bag = write_robot(tmp_path / 'a.mcap', 3)
+    assert 'is named twice; expected another recording' in refusal(capsys, 'replay', bag, bag)
 
 
 def read_until(terminal, text, seen=b''):
@@ -418,6 +434,27 @@ def test_inputs_in_the_namespace_of_the_answers_are_played():
     follow = FollowOptions({'/left/answer': '/left/wrench'})
     assert topics_played(topics, follow=follow, rate=None) == (
         ['/left/wrench', '/left/other'], ['/left/answer is not played: the follower publishes there.'])
+
+
+def test_inputs_that_are_taken_for_the_followers_own_are_told_as_such():
+    """It was said that the follower publishes there, and that nobody answers."""
+    topics = {topic: TopicInfo(WRENCH, 1, Qos()) for topic in ('/left/wrench', '/wrench')}
+    assert topics_played(topics, follow=FollowOptions({'/left/answer': None}), rate=None) == (
+        ['/wrench'], ['/left/wrench is not played: it is beside /left/answer, where the follower publishes; if it is '
+                      'an input, --follow /left/answer=PLAYED tells so.'])
+
+
+def test_names_that_the_bag_does_not_have_are_said(tmp_path):
+    """The topics that were meant were played as the bag recorded them, or were not left out."""
+    overrides, told = tmp_path / 'qos.yaml', StringIO()
+    overrides.write_text('/wrnch: {depth: 5}\n/wrench: {depth: 5}\n')
+    options = ReplayOptions((Path('a.mcap'),), qos_overrides=overrides, selection=Selection(exclude=('/other', '/b')))
+    session = ReplaySession(options, Console(file=told), [])
+    topics = {name: TopicInfo(WRENCH, 1, Qos()) for name in ('/wrench', '/b')}
+    played, _ = session._topics(SimpleNamespace(topics=topics))
+    assert [topic.qos.depth for topic in played.values()] == [5]
+    assert told.getvalue() == (f'--exclude names /other, which the bag does not have.\n{overrides} names /wrnch, which '
+                               'the bag does not have.\n')
 
 
 def test_topics_of_two_types_are_not_played_on_one():

@@ -92,6 +92,9 @@ class ReplaySession:
         _check_remap(options.remap, bag.topics)
         require_topic_names(options.follow.answers if options.follow else ())
         overrides = load_overrides(options.qos_overrides) if options.qos_overrides else {}
+        self._say(f'{where} names {topic}, which the bag does not have.' for where, named in (
+            ('--exclude', options.selection.exclude), (options.qos_overrides, overrides))
+            for topic in named if topic not in bag.topics)
         played, skipped = {}, {}
         for topic in options.selection.of(list(bag.topics)):
             info = bag.topics[topic]
@@ -106,6 +109,7 @@ class ReplaySession:
         self._say(skipped.values())
         if not played:
             raise SemiparamError('there is nothing to play: no topic of the bag is chosen and installed.')
+        _check_answered(options.follow.answers if options.follow else {}, [topic.name for topic in played.values()])
         return played, skipped
 
     def _obstacle(self, topic: str, info: TopicInfo) -> str:
@@ -118,13 +122,7 @@ class ReplaySession:
             return f'its messages are encoded as {info.encoding!r}; expected cdr, as ROS 2 records them'
         if topic == '/clock' and (self._options.clock_hz is not None or self._options.clock_before_each):
             return 'the time of the bag is published there'
-        answers = self._options.follow.answers if self._options.follow else {}
-        # A namespace that also has what is answered is the robot's, not the follower's own.
-        outputs = [prefix for answer, played in answers.items()
-                   if not (played or '').startswith(prefix := answer.rpartition('/')[0] + '/')]
-        if topic in answers or any(len(prefix) > 1 and topic.startswith(prefix) for prefix in outputs):
-            return 'the follower publishes there'
-        return ''
+        return _published_by_follower(topic, self._options.follow.answers if self._options.follow else {})
 
     def _connect(self, node: ReplayNode, timeline: BagTimeline) -> None:
         """Find the followers and wait for subscribers."""
@@ -222,6 +220,27 @@ def _require_one_type(played: Mapping[str, PlayedTopic], topic: str) -> None:
     if others:
         raise SemiparamError(f'{topic} holds {mine.type} and {others[0]} {played[others[0]].type}: both cannot be '
                              f'played on {mine.name}.')
+
+
+def _published_by_follower(topic: str, answers: Mapping[str, str | None]) -> str:
+    """Reason to take a topic for the follower's, '' where there is none."""
+    if topic in answers:
+        return 'the follower publishes there'
+    for answer, played in answers.items():
+        prefix = answer.rpartition('/')[0] + '/'
+        # A namespace that also has what is answered is the robot's, not the follower's own.
+        if len(prefix) > 1 and topic.startswith(prefix) and not (played or '').startswith(prefix):
+            hint = '' if played else f'; if it is an input, --follow {answer}=PLAYED tells so'
+            return f'it is beside {answer}, where the follower publishes{hint}'
+    return ''
+
+
+def _check_answered(answers: Mapping[str, str | None], played: Sequence[str]) -> None:
+    """Raise SemiparamError where an answered topic is not played, before a follower is waited for."""
+    for answer, request in answers.items():
+        if request and request not in played:
+            raise SemiparamError(f'{answer} cannot answer {request}, which is not played: expected one of '
+                                 f'{", ".join(played)}.')
 
 
 def _check_remap(remap: Mapping[str, str], found: Mapping[str, object]) -> None:
