@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Iterator, Sequence
+import signal
+import warnings
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import CancelledError
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
+from multiprocessing import resource_tracker
 from typing import TYPE_CHECKING, TypeVar
 
 from joblib import Parallel, delayed, parallel_config
@@ -53,10 +56,33 @@ def run_all(function: Callable[..., Result], arguments: Sequence[tuple[object, .
     """Call ``function(*arguments[i])`` for every i, in any order; return the results in order."""
     results: dict[int, Result] = {}
     calls = (delayed(_numbered)(index, function, call) for index, call in enumerate(arguments))
-    for index, result in Parallel(return_as='generator_unordered')(calls):
-        results[index] = result
-        done()
+    with ExitStack() as stack:
+        with _interrupts_held():
+            answers = Parallel(return_as='generator_unordered')(calls)
+            stack.callback(_cancel, answers)
+        for index, result in answers:
+            results[index] = result
+            done()
     return [results[index] for index in range(len(arguments))]
+
+
+@contextmanager
+def _interrupts_held() -> Iterator[None]:
+    """Hold Ctrl-C back until the block ends. Processes that begin in it never see one: a terminal sends it to all, and
+    each that was still loading told where it was."""
+    resource_tracker.ensure_running()  # which would unblock SIGINT
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _cancel(answers: Generator[object, None, None]) -> None:
+    """End what is not done yet, of which joblib would warn."""
+    with warnings.catch_warnings():
+        warnings.simplefilter('ignore', UserWarning)
+        answers.close()
 
 
 def _numbered(index: int, function: Callable[..., Result], call: tuple[object, ...]) -> tuple[int, Result]:

@@ -2,10 +2,14 @@
 
 import contextlib
 import os
+import signal
 import socket
+import subprocess
+import sys
 import threading
 import time
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -142,6 +146,31 @@ def test_a_dask_cluster_of_two_processes_changes_nothing(quick, compare):
         tasks = cluster.scheduler.transition_counter
     assert tasks > 0
     assert without_times(found) == without_times(quick[0])
+
+
+def test_an_interrupt_of_a_terminal_ends_it_without_a_traceback_of_its_workers(folder, tmp_path):
+    """It goes to the whole group of processes: workers that were still loading told where."""
+    words = ['compare', folder / 'train.mcap', folder / 'test.mcap', '--params', folder / 'arm.yaml', '--starts', 500,
+             '-o', tmp_path / 'page.html']
+    with subprocess.Popen([sys.executable, '-m', 'semiparam_ros.cli.main', *map(str, words)], stdout=subprocess.PIPE,
+                          stderr=subprocess.STDOUT, text=True, start_new_session=True) as process:
+        children = Path(f'/proc/{process.pid}/task/{process.pid}/children')
+        deadline = time.monotonic() + 60
+        workers = []
+        while not workers and time.monotonic() < deadline:
+            workers = [pid for pid in children.read_text().split()
+                       if 'LokyProcess' in told_of(pid, 'cmdline') and '_multiarray_umath' in told_of(pid, 'maps')]
+        assert workers
+        os.killpg(process.pid, signal.SIGINT)
+        assert process.communicate(timeout=60)[0] == '' and process.returncode == 130
+    assert not list(tmp_path.iterdir()) and not any(told_of(pid, 'cmdline') for pid in workers)
+
+
+def told_of(pid, what):
+    """What the system tells of a process, nothing of one that has ended."""
+    with contextlib.suppress(OSError):
+        return Path(f'/proc/{pid}/{what}').read_text()
+    return ''
 
 
 def test_all_seven_models_are_compared_unless_told(compare, folder):
