@@ -64,9 +64,12 @@ def require_writable(path: str | os.PathLike[str]) -> None:
 
 
 def write_text(path: str | os.PathLike[str], text: str) -> None:
-    """Write a whole text file in UTF-8 or nothing; raises SemiparamError when it cannot be written."""
+    """Write a whole text file in UTF-8 or nothing; raises SemiparamError when it cannot be written.
+
+    Bytes of the name of a file that are no UTF-8 are shown as Python writes them.
+    """
     with replacing(path) as stream:
-        stream.write(text.encode())
+        stream.write(text.encode(errors='backslashreplace'))
 
 
 def append_line(path: str | os.PathLike[str], line: str) -> None:

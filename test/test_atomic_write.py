@@ -147,3 +147,9 @@ def test_a_second_result_that_cannot_be_written_keeps_the_first_from_being_made(
     assert main(['simulate', str(tmp_path / 'a.mcap'), '--samples', '100', '--truth', place]) == 2
     assert capsys.readouterr().err.count('\n') == 1
     assert not os.listdir(tmp_path)
+
+
+def test_the_name_of_a_file_that_is_no_utf8_may_stand_in_a_text(tmp_path):
+    """Two commands ended by an internal error once their work was done, when it was to stand on their page."""
+    write_text(tmp_path / 'page.html', f'of {os.fsdecode(b"b" + bytes([255]))}.mcap')
+    assert (tmp_path / 'page.html').read_text() == r'of b\udcff.mcap'
