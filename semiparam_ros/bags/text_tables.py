@@ -175,7 +175,12 @@ def effort_factors(value: object, where: str) -> dict[str, float]:
     if not all(len(pair) == 2 for pair in pairs):
         raise SemiparamError(f'{where}: effort_factors is {value!r}; expected NAME=FACTOR,... such as '
                              'shoulder=11.4,elbow=-9.8.')
-    factors = {str(name).strip(): _number(f'the effort factor of {name}', factor, where) for name, factor in pairs}
+    names = [str(name).strip() for name, _ in pairs]
+    for name in names:
+        if names.count(name) > 1:
+            raise SemiparamError(f'{where}: effort_factors names {name!r} twice; expected one factor for each.')
+    factors = {name: _number(f'the effort factor of {name}', factor, where)
+               for name, (_, factor) in zip(names, pairs, strict=True)}
     for name, factor in factors.items():
         if not factor:
             raise SemiparamError(f'{where}: the effort factor of {name} is 0, which leaves nothing of it.')

@@ -110,6 +110,7 @@ def test_a_lone_name_gets_the_overview(capsys):
     ('convert a.mcap b.mcap --effort-sign nan', '--effort-sign is nan; expected a finite number'),
     ('convert a.mcap b.mcap --effort-sign 0', '--effort-sign is 0; expected 1 or -1'),
     ('convert a.mcap b.mcap --wrench-sign 1000', '--wrench-sign is 1000; expected 1 or -1'),
+    ('convert a.mcap b.mcap --effort-factors r_elbow=2,r_elbow=3', "effort_factors names 'r_elbow' twice"),
     ('convert a.mcap b.mcap --effort-factors r_elbow=inf', "effort factor of r_elbow is 'inf'; expected a finite"),
     ('convert a.mcap b.mcap --effort-factors r_elbow=2 --topic /wrench', "some of the joints in 'a.mcap': none."),
     ('convert a.mcap b.mcap --joint r_elbow=r_shoulder_yaw', 'r_shoulder_yaw, r_shoulder_yaw; expected another name'),
