@@ -74,7 +74,7 @@ def run(args: argparse.Namespace) -> int:
     from semiparam_ros.simulation import simulate
 
     if 'list' in args.effects:
-        return _list_kinds(args.outputs or 'wrench')
+        return _list_kinds(args)
     if args.bag is None:
         raise SemiparamError('the name of the recording to write is missing; expected OUT.mcap.')
     require_bag_name(args.bag)
@@ -206,9 +206,14 @@ def _report(path: Path, recording: SimulatedRecording) -> None:
                      soft_wrap=True)
 
 
-def _list_kinds(outputs: str) -> int:
+def _list_kinds(args: argparse.Namespace) -> int:
     from semiparam_ros.simulation.causes import UNLISTED_KINDS, kinds
 
-    for kind in kinds(outputs):
+    others = [f'--effect {effect}' for effect in args.effects if effect != 'list']
+    for option, given in (('OUT.mcap', args.bag), ('--truth', args.truth), ('--params', args.params),
+                          *((other, True) for other in others)):
+        if given:
+            raise SemiparamError(f'--effect list lists the kinds alone; expected no {option} beside it.')
+    for kind in kinds(args.outputs or 'wrench'):
         output.print(kind + (' (of no listed kind)' if kind in UNLISTED_KINDS else ''))
     return 0
