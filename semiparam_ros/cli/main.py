@@ -121,12 +121,13 @@ def _dispatch(argv: list[str], ros_arguments: list[str], prog: str) -> int:
 
 
 class _Parser(argparse.ArgumentParser):
-    """Parser that tells a mistake in one sentence, without the usage of thirty options, and takes no empty text for
-    the name of a file: ``Path('')`` is the working folder."""
+    """Parser that tells a mistake in one sentence, without the usage of thirty options, and takes no empty text, as of
+    a variable of the shell that is not set: ``Path('')`` is the working folder, and other options were not heard."""
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)
         self.register('type', Path, _path)
+        self.register('type', None, _text)
 
     def error(self, message: str) -> NoReturn:
         self.exit(BAD_INPUT, f'{self.prog}: {message}; {self.prog} --help explains.\n')
@@ -138,6 +139,12 @@ def _path(text: str) -> Path:
     return Path(text)
 
 
+def _text(text: str) -> str:
+    if not text:
+        raise argparse.ArgumentTypeError('the text is empty')
+    return text
+
+
 def _overview() -> argparse.ArgumentParser:
     """The parser of the first word alone."""
     lines = [f'  {command:<10}{summary(command)}' for command in COMMANDS]
@@ -147,7 +154,7 @@ def _overview() -> argparse.ArgumentParser:
                      epilog='\n'.join(['commands:', *lines, '', 'semiparam COMMAND --help explains each.']))
     parser.add_argument('--version', action='version', version=f'semiparam_ros {__version__}')
     parser.add_argument('command', choices=COMMANDS, metavar='COMMAND', help='one of the commands below')
-    parser.add_argument('arguments', nargs=argparse.REMAINDER, help=argparse.SUPPRESS)
+    parser.add_argument('arguments', type=str, nargs=argparse.REMAINDER, help=argparse.SUPPRESS)
     return parser
 
 

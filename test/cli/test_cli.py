@@ -145,7 +145,11 @@ def test_a_wrong_call_ends_at_once_in_one_sentence_and_leaves_nothing(arguments,
     (['evaluate', ''], 'argument BAG: the name is empty'),
     (['diagnose', 'a.mcap', '--params', ''], 'argument --params: the name is empty'),
     (['convert', '', 'b.mcap'], 'argument INPUT: the name is empty'),
-    (['simulate', ''], 'argument OUT.mcap: the name is empty')])
+    (['simulate', ''], 'argument OUT.mcap: the name is empty'),
+    (['fit', 'a.mcap', '-o', 'b.yaml', '--variant', ''], 'argument --variant: the text is empty'),
+    (['simulate', 'b.mcap', '--sensor-frame', ''], 'argument --sensor-frame: the text is empty'),
+    (['simulate', 'b.mcap', '--joints', 'r_elbow', ''], 'argument --joints: the text is empty'),
+    (['convert', 'a.mcap', 'b.mcap', '--wrench-frame='], 'argument --wrench-frame: the text is empty')])
 def test_an_empty_name_is_not_the_working_folder(arguments, words, tmp_path, monkeypatch, capsys):
     """As of a variable of the shell that is not set: whatever bag lay in the working folder was evaluated."""
     monkeypatch.chdir(tmp_path)
