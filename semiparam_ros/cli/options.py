@@ -22,9 +22,17 @@ if TYPE_CHECKING:
     from semiparam_ros.core.robot.rigid_body import RigidBody
 
 SCHEMA = 1
+NO_WIDTH = 80
+"""Columns of what has none: those of a file."""
+
 
 class _Console(Console):
-    """A console that leaves it to `main` to end the command when its reader has left."""
+    """A console that leaves it to `main` to end the command when its reader has left, and that has a width."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**options)
+        if not self.width:  # COLUMNS=0, as of a terminal that does not know its own: no table had any letters
+            self.width = NO_WIDTH
 
     def on_broken_pipe(self) -> NoReturn:
         """Raise what is being handled; rich would end with the code of a fault of the program."""

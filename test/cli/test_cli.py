@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 import types
+from io import StringIO
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ import pytest
 from semiparam_ros import __version__
 from semiparam_ros.atomic_write import write_text
 from semiparam_ros.cli import main as cli
+from semiparam_ros.cli import options
 from semiparam_ros.cli.options import write_json
 from semiparam_ros.cli.run import check_file
 from semiparam_ros.errors import SemiparamError
@@ -101,20 +103,20 @@ def test_a_lone_name_gets_the_overview(capsys):
     ('export a.mcap --params arm.yaml --urdf a.mcap', 'a.mcap is read, too; expected another name for the output'),
     ('evaluate a.mcap --json ../x/../x/a.mcap', 'cannot write'),
     ('simulate b.txt', "'b.txt' is no name for an MCAP bag"),
-    ('simulate b.mcap --truth nowhere/b.json', 'cannot write nowhere/b.json'),
-    ('simulate b.mcap --truth b.mcap.partial', 'b.mcap.partial is named for two results; expected another name'),
     ('simulate b.mcap --effect list', '--effect list lists the kinds alone; expected no OUT.mcap beside it'),
     ('simulate --effect list --truth b.json', '--effect list lists the kinds alone; expected no --truth beside it'),
     ('simulate --effect list --effect payload', '--effect list lists the kinds alone; expected no --effect payload'),
     ('simulate --effect list --params arm.yaml', '--effect list lists the kinds alone; expected no --params beside'),
+    ('simulate b.mcap --truth nowhere/b.json', 'cannot write nowhere/b.json'),
+    ('simulate b.mcap --truth b.mcap.partial', 'b.mcap.partial is named for two results; expected another name'),
     ('convert a.mcap b.mcap --joint elbow=b', "no joint 'elbow' to rename; it has r_elbow"),
+    ('convert a.mcap b.mcap --effort-factors r_elbow=2,r_elbow=3', "effort_factors names 'r_elbow' twice"),
     ('convert a.mcap b.mcap --effort-factors elbow=2', "effort_factors names 'elbow'"),
     ('convert a.mcap b.mcap --topic /wrench=/a --topic /wrench=/b', "'/wrench' is to become '/a' and '/b'"),
     ('convert a.mcap b.mcap --joint r_elbow=a,r_elbow=b', "'r_elbow' is to become 'a' and 'b'; expected one name"),
     ('convert a.mcap b.mcap --effort-sign nan', '--effort-sign is nan; expected a finite number'),
     ('convert a.mcap b.mcap --effort-sign 0', '--effort-sign is 0; expected 1 or -1'),
     ('convert a.mcap b.mcap --wrench-sign 1000', '--wrench-sign is 1000; expected 1 or -1'),
-    ('convert a.mcap b.mcap --effort-factors r_elbow=2,r_elbow=3', "effort_factors names 'r_elbow' twice"),
     ('convert a.mcap b.mcap --effort-factors r_elbow=inf', "effort factor of r_elbow is 'inf'; expected a finite"),
     ('convert a.mcap b.mcap --effort-factors r_elbow=2 --topic /wrench', "some of the joints in 'a.mcap': none."),
     ('convert a.mcap b.mcap --joint r_elbow=r_shoulder_yaw', 'r_shoulder_yaw, r_shoulder_yaw; expected another name'),
@@ -307,3 +309,11 @@ def test_run_checks_a_file_for_the_name_that_ros_gives_the_node(tmp_path, rules)
     check_file(path, ['--ros-args', *(argument for rule in rules for argument in ('-r', rule))])
     with pytest.raises(SemiparamError, match='ROS gives no section to the node /estimator'):
         check_file(path, [])
+
+
+def test_a_terminal_that_does_not_know_its_width_gets_its_tables(monkeypatch):
+    """Of COLUMNS=0 nothing was printed, with the exit code 0."""
+    monkeypatch.setenv('COLUMNS', '0')
+    console = type(options.output)(file=StringIO())
+    console.print('figures')
+    assert console.file.getvalue() == 'figures\n'
