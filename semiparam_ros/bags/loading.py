@@ -72,7 +72,8 @@ def _load(path: str | os.PathLike[str], settings: Table, most: Callable[[float],
     from semiparam_ros.bags.reader import open_bag  # the node, which shares this module, reads no bags
 
     with open_bag(path) as bag:
-        measured = measured_accelerations(settings, layout.JOINT_ACCELERATIONS in bag.topics)
+        published = bag.topics.get(layout.JOINT_ACCELERATIONS)
+        measured = measured_accelerations(settings, published is not None and published.count > 0)
         needed = [layout.JOINT_STATES, *[layout.WRENCH] * (settings.outputs == 'wrench'),
                   *[layout.JOINT_ACCELERATIONS] * measured]
         if settings.temperatures and layout.TEMPERATURE in bag.topics:

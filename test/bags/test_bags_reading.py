@@ -553,6 +553,21 @@ def test_a_topic_of_the_wrong_type_is_refused(tmp_path):
         load_samples(path, Settings(joints=('a',), outputs='effort'))
 
 
+def test_a_topic_of_accelerations_without_a_message_is_none(tmp_path):
+    """As of a recorder beside a driver that offers the topic: the recording was refused, whose accelerations are
+    estimated where there is no such topic."""
+    path = write_bag(tmp_path / 'bag.mcap', motion(60))
+    with open_bag(path) as bag, BagWriter(tmp_path / 'offered.mcap') as offered:
+        offered.add_topic('/joint_accelerations', 'trajectory_msgs/msg/JointTrajectory')
+        for message in bag.messages():
+            if message.topic != '/joint_accelerations':
+                offered.write(message.topic, message.type, message.data, message.log_time)
+    settings = Settings(joints=('a', 'b'), sensor_frame='ft')
+    assert len(load_samples(tmp_path / 'offered.mcap', settings).samples) > 0
+    with pytest.raises(SemiparamError, match='there are none on /joint_accelerations'):
+        load_samples(tmp_path / 'offered.mcap', settings.changed({'acceleration.source': 'measured'}))
+
+
 def test_a_recording_of_some_joints_names_the_parameter_that_tells_which(tmp_path):
     path = write_bag(tmp_path / 'bag.mcap', motion(10), joints=('a', 'gripper'))
     with pytest.raises(SemiparamError, match=r"must name joint 'b' once; it names a, gripper. The parameter joints is "
