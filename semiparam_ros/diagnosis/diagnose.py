@@ -124,9 +124,13 @@ class Diagnosis:
 
     @cached_property
     def described_errors(self) -> tuple[Evaluation, Evaluation]:
-        """Errors of the final model on the blocks left out, with the inertias of the robot description and with its
-        own."""
-        return evaluate_described(self.final, self.held_out), evaluate_here(self.final, self.held_out)
+        """Errors of the final model on the blocks left out, or on the recording that judges, with the inertias of the
+        robot description and with its own."""
+        if self.elsewhere is None:
+            return evaluate_described(self.final, self.held_out), evaluate_here(self.final, self.held_out)
+        described = replace(self.final, theta=self.final.theta_beside(self.final.body.base_parameters))
+        there, valid = self.elsewhere[1], self.elsewhere[3]
+        return evaluate_there(described, there, valid), evaluate_there(self.final, there, valid)
 
     @property
     def offsets(self) -> list[Effect]:

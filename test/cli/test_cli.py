@@ -276,6 +276,18 @@ def test_a_recording_does_not_judge_what_was_fitted_to_it(beside, tmp_path, repo
     assert f'{link} is named twice; expected another recording.' in capsys.readouterr().err
 
 
+def test_another_recording_that_judges_judges_the_described_inertias_too(tmp_path, repository, capsys, recwarn):
+    """They were judged on no sample, with warnings of numpy: of inertias that are wrong nothing was said."""
+    bags = [str(tmp_path / name) for name in ('fits.mcap', 'judges.mcap')]
+    for seed, bag in enumerate(bags):
+        assert cli.main(['simulate', bag, '--samples', '500', '--seed', str(seed), '--robot-seed', '0']) == 0
+    capsys.readouterr()
+    assert cli.main(['diagnose', bags[0], '--judge', bags[1], '--params',
+                     str(repository / 'config/icub_right_arm.yaml')]) == 0
+    assert 'But the inertias are not those of the robot description' in capsys.readouterr().out
+    assert not [warning for warning in recwarn if issubclass(warning.category, RuntimeWarning)]
+
+
 def test_json_is_versioned_and_takes_numpy(tmp_path):
     write_json(tmp_path / 'a.json', {'nmse': np.array([0.5, 1.0]), 'samples': np.int64(3), 'deep': {'x': (1, 2)}})
     assert json.loads((tmp_path / 'a.json').read_text()) == {
