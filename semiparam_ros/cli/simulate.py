@@ -106,6 +106,9 @@ def scenario_of(args: argparse.Namespace) -> Scenario:
                    'urdf': described}
         chosen = {name: of_file[name] if value is None else value for name, value in chosen.items()}
         chosen['locked'] = tuple(zip(settings.locked_joints_names, settings.locked_joints_positions, strict=True))
+    if chosen['outputs'] == 'effort' and (args.sensor_frame or args.convention):
+        raise SemiparamError('--sensor-frame and --convention are those of a wrench; expected neither with outputs '
+                             'effort.')
     if chosen['urdf'] is not None:
         parse(chosen['urdf'])  # what the other commands would refuse makes no recording
     return Scenario(motion=args.motion, samples=samples_of(args), rate_hz=args.rate, effects=effects_of(args),

@@ -147,6 +147,8 @@ def test_the_robot_of_a_parameter_file_has_its_locked_joints_and_its_description
     (['OUT.mcap', '--effect', 'payload', '--effect', 'time_delay', '--size', '1', '--size', '2', '--size', '3'],
      '--size is given 3 times for 2 effects'),
     (['OUT.mcap', '--seconds', '-3'], '--seconds -3.0'),
+    (['OUT.mcap', '--outputs', 'effort', '--convention', 'action'], 'those of a wrench; expected neither'),
+    (['OUT.mcap', '--outputs', 'effort', '--sensor-frame', 'ft'], 'those of a wrench; expected neither'),
     (['OUT.mcap', '--effect', 'payload', '--end', 'inf', '--truth', 't.json'], 'end inf s of effect'),
     (['OUT.mcap', '--urdf', 'no.urdf'], 'no.urdf cannot be read'),
     (['NOWHERE/out.mcap', '--samples', '20'], 'NOWHERE'),
