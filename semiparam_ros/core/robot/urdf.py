@@ -31,6 +31,8 @@ TAKEN = (UNIVERSE, SENSOR, ROOT)
 """Names that nothing else may have."""
 FARTHEST_M = 1e4
 """Of an origin from what it is told of: beyond, numbers lose the digits that inertias need."""
+MOST = {'origin': FARTHEST_M, 'mass': 1e9, 'inertia': 1e9}
+"""Of numbers by their element: what bodies add up to, and their squares, stay numbers."""
 
 XACRO = '/xacro}'
 """End of the name space of what is left of a description that was not expanded."""
@@ -258,9 +260,10 @@ def _check_numbers(element: ElementTree.Element) -> None:
             if text is None:
                 continue
             part.set(attribute, ' '.join(text.split()))  # a link of the mass " 1.5" has none to the reader
-            if part.tag == 'origin' and max(map(abs, map(float, text.split()))) > FARTHEST_M:
-                raise _fault(f"{element.tag} '{element.get('name')}' has origin {attribute}=\"{text}\"; expected "
-                             f'numbers up to {FARTHEST_M:g}.')
+            most = MOST.get(part.tag, math.inf)
+            if max(map(abs, map(float, text.split()))) > most:
+                raise _fault(f"{element.tag} '{element.get('name')}' has {part.tag} {attribute}=\"{text}\"; expected "
+                             f'numbers up to {most:g}.')
 
 
 def _check_axis(element: ElementTree.Element) -> None:
