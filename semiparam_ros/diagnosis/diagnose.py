@@ -296,7 +296,7 @@ def _diagnosed(body: RigidBody, samples: Samples, effects: Sequence[Effect], tra
     before, *by_step = (_evaluated(fit, start, judged) for fit in (*models, final))
     progress('what is left', 0.0)
     structure, fast = (None, []) if setup else _left(final, samples, start)
-    everything, told = _estimated(final, steps, samples, start, other is None)
+    everything, told = _estimated(final, steps, samples, start)
     found = findings(final, steps, everything, told)
     touches, notes = [] if setup else contacts(everything), _notes(samples, start, found, names)
     notes += [] if setup else friction_changes(final, names)
@@ -396,12 +396,11 @@ def _left(final: Fit, samples: Samples, start: _Start) -> tuple[Structure, list[
     return structure, fast
 
 
-def _estimated(final: Fit, steps: list[Step], samples: Samples, start: _Start,
-               judged_here: bool) -> tuple[Fit, Estimates]:
+def _estimated(final: Fit, steps: list[Step], samples: Samples, start: _Start) -> tuple[Fit, Estimates]:
     """The final model fitted to all samples, where that gives no effect values that it cannot have, and its values."""
     new = [index for index, _ in places_in(final, steps)]
     everything = final = as_recorded(final, start.recorded.samples, new)
-    if judged_here and (steps or final.effects):
+    if steps or final.effects:
         usable = start.fitting | start.held_out
         refit = with_common_forms(fitted_to_all(final, usable, new, start.first.counted)) if steps else \
             refit_weights(with_effects(replace(final, train_mask=usable), final.effects))  # calibrations as declared
