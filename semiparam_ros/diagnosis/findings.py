@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from semiparam_ros.core.types import Array
 from semiparam_ros.diagnosis.regression import Fit
+from semiparam_ros.diagnosis.search.candidates import identity
 from semiparam_ros.diagnosis.search.score import worth
 from semiparam_ros.diagnosis.search.stepwise import Rival, Step
 from semiparam_ros.diagnosis.uncertainty import Estimates
@@ -78,16 +79,12 @@ def declared_findings(fit: Fit, found: list[Finding], told: Estimates) -> list[F
 
 
 def _index_in(fit: Fit, effect: Effect, taken: Collection[int]) -> int | None:
-    """Index of the effect in the model now: at its place, or, as a load moves to the nearest link, with its start. Of
-    several at one place, such as a load that was declared and a later one, the one whose start is nearest."""
-    same = [index for index, known in enumerate(fit.effects) if known.kind == effect.kind and index not in taken
-            and (known.where == effect.where or known.start_s == effect.start_s is not None)]
-
-    def distance(index: int) -> tuple[bool, float]:
-        known = fit.effects[index]
-        return known.where != effect.where, abs((known.start_s or 0.0) - (effect.start_s or 0.0))
-
-    return min(same, key=distance) if same else None
+    """Index of the effect in the model now: at its place, or, as a load moves to the nearest link, with its times; None
+    where it is there no longer, or taken."""
+    same = [index for index, known in enumerate(fit.effects)
+            if identity(replace(known, where=effect.where) if known.must_start else known) == identity(effect)]
+    index = min(same, key=lambda number: fit.effects[number].where != effect.where, default=None)
+    return None if index in taken else index
 
 
 def _parameters(fit: Fit, index: int, told: Estimates) -> dict[str, Quantity]:

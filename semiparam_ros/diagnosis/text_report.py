@@ -11,7 +11,7 @@ from semiparam_ros.core.samples import Samples
 from semiparam_ros.diagnosis.data.recordings import breaks_s, own_time
 from semiparam_ros.diagnosis.diagnose import Diagnosis
 from semiparam_ros.diagnosis.findings import Finding, Quantity
-from semiparam_ros.diagnosis.search.candidates import identity
+from semiparam_ros.diagnosis.search.candidates import fixed, identity
 from semiparam_ros.diagnosis.search.stepwise import Rival
 from semiparam_ros.diagnosis.setup.identifiability import listed
 from semiparam_ros.effects import Effect
@@ -102,7 +102,7 @@ def _opening(diagnosis: Diagnosis) -> str:
             return ('Something is missing that none of the known effects explains.'
                     + (function + beside) * diagnosis.imitated)
         return 'Something is missing, and the effects below explain only the smaller part of it.'
-    declared = {identity(effect) for effect in diagnosis.first.effects}
+    declared = fixed(diagnosis.final)
     other = sum(identity(finding.effect) in declared for finding in diagnosis.findings)
     count = len(diagnosis.findings) - other
     lacks = f'The model lacks {"one effect" if count == 1 else f"{count} effects"}'

@@ -9,6 +9,7 @@ import pytest
 
 from semiparam_ros.diagnosis.config import DEFAULTS
 from semiparam_ros.diagnosis.diagnose import _decided, diagnose
+from semiparam_ros.diagnosis.findings import places_in
 from semiparam_ros.diagnosis.preparation import averaged
 from semiparam_ros.diagnosis.search.moves import Move, ending_moves, simplest
 from semiparam_ros.diagnosis.search.plausibility import all_plausible
@@ -76,6 +77,36 @@ def test_a_declared_load_that_was_put_down_ends_and_is_no_second_force():
     assert [set(effect.span.values) for effect in effects] == [{'start_stamp_s', 'end_stamp_s'}]
     again = diagnose(BODY, samples, effects, only=ONLY)
     assert again.verdict == 'nothing_missing' and diagnosis_jobs.declared(again) == effects
+
+
+def test_a_load_until_a_time_is_not_the_declared_one_that_stays():
+    """Both had one key: the declared one was told as found, with other values than declared and a gain of -0 nat, and
+    the one that was put down as declared."""
+    known = kinds()['payload']('tool', {'mass': 0.3})
+    samples = carrying((None, 0.6 * END_S))
+    carried = known.columns(BODY, samples, None)[0] @ known.prior_mean(BODY)
+    found = diagnose(BODY, replace(samples, outputs=samples.outputs + carried), [known], only=ONLY)
+    (finding,), (stays,) = found.findings, found.declared
+    assert finding.effect.end_s == pytest.approx(0.6 * END_S, abs=0.15) and finding.log_evidence_gain > 1000.0
+    assert stays.effect == known and found.standing == [known]
+    assert text_report(found)[0] == 'The model lacks one effect.'
+
+
+def test_a_declared_load_that_was_always_there_and_is_over_stays_declared():
+    names = ('mass', 'first_moment_x', 'first_moment_y', 'first_moment_z')
+    known = kinds()['payload']('tool', dict(zip(names, LOAD[:4].tolist(), strict=True)))
+    found = diagnose(BODY, carrying((None, 0.6 * END_S)), [known], only=ONLY)
+    (effect,) = (finding.effect for finding in found.findings)
+    assert effect.end_s == pytest.approx(0.6 * END_S, abs=0.15) and effect.parameters == known.parameters
+    assert not found.declared and text_report(found)[0] == 'One effect has other values than declared.'
+
+
+def test_a_load_that_ended_in_a_later_round_makes_no_finding_of_the_declared_one():
+    """The round that ended it was taken for one that had added the other load at its place."""
+    declared, begun = (kinds()['payload']('tool', span=span) for span in (Span(), Span(5.0)))
+    ended = replace(begun, where='finger', span=Span(5.0, end_s=30.0))
+    rounds = [SimpleNamespace(added=(begun,)), SimpleNamespace(added=(replace(ended, where='tool'),))]
+    assert places_in(SimpleNamespace(effects=(declared, ended)), rounds) == [(1, 1)]
 
 
 def test_a_load_that_comes_again_is_another_one():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -16,8 +17,9 @@ from semiparam_ros.effects import Effect
 DERIVATIVE_STEP = 1e-3
 """Half the difference [rad, s or 1] that stands for a derivative: dry friction that turns over between two samples is
 no smooth function of a delay, and a much smaller one would see it jump or not at all."""
-Place = tuple[str, str | None, float | None]
-"""Kind and place of an effect, and when it began where several may come one after the other, as loads do."""
+Place = tuple[str, str | None, tuple[float | None, float | None] | None]
+"""Kind and place of an effect, and when it began where several may come one after the other, as loads do; until when
+it was there, where it did not begin."""
 
 
 def candidates(fit: Fit) -> list[tuple[type[Effect], str | None]]:
@@ -29,12 +31,17 @@ def candidates(fit: Fit) -> list[tuple[type[Effect], str | None]]:
 
 def identity(effect: Effect) -> Place:
     """Key that tells an effect from the others of a model."""
-    return effect.kind, effect.where, effect.start_s if effect.must_start else None
+    until_s = effect.end_s if effect.start_s is None else None
+    return effect.kind, effect.where, (effect.start_s, until_s) if effect.must_start else None
 
 
 def fixed(fit: Fit) -> set[Place]:
-    """Keys of the effects that were declared, which stay whatever a search finds."""
-    return {identity(effect) for effect in fit.declared}
+    """Keys of the effects that were declared, which stay whatever a search finds, also what was always there and is
+    over."""
+    declared = {identity(effect) for effect in fit.declared}
+    gone = declared - {identity(effect) for effect in fit.effects}
+    return declared | {identity(effect) for effect in fit.effects
+                       if identity(replace(effect, span=replace(effect.span, end_s=None))) in gone}
 
 
 def held(effects: Sequence[Effect]) -> set[tuple[str, str | None]]:

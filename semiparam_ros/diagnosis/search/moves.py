@@ -159,7 +159,7 @@ def hidden_moves(fit: Fit, trials: Sequence[Trial], report: Progress) -> list[Mo
     lacking = [(kind, where) for kind, where in candidates(fit) if kind.group and kind.resists]
     if not lacking:
         return []
-    friction = [tried[kind.kind, where, None].effect if (kind.kind, where, None) in tried else
+    friction = [tried[identity(kind(where))].effect if identity(kind(where)) in tried else
                 kind.from_values(where, kind.searches(fit.body, fit.samples, where, fit.residual)[0])
                 for kind, where in lacking]
     joints = {where for _, where in lacking}
