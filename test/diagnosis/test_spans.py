@@ -150,6 +150,14 @@ def test_what_weighs_less_than_nothing_was_not_put_down():
     assert all_plausible(picked_up, declare(picked_up, [kinds()['payload']('tool', span=Span(0.4 * END_S))]))
 
 
+@pytest.mark.parametrize('start_s', [END_S + 500.0, END_S + 1e-3, END_S])
+def test_what_was_declared_to_begin_after_the_recording_is_not_over(start_s):
+    """The diagnosis broke off: it ended before it began."""
+    known = kinds()['payload']('tool', span=Span(start_s))
+    found = diagnose(BODY, carrying(), [known], only=ONLY)
+    assert found.verdict == 'nothing_missing' and found.declared[0].effect == known
+
+
 def test_a_load_that_stays_is_not_ended():
     known = kinds()['payload']('tool', span=Span(0.3 * END_S))
     found = diagnose(BODY, carrying((0.3 * END_S, None)), [known], only=ONLY)

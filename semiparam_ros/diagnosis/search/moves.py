@@ -101,14 +101,14 @@ def repeated_moves(fit: Fit, ranking: Sequence[Trial]) -> list[Move]:
 
 def ending_moves(fit: Fit) -> list[Move]:
     """Moves that end what may be over: a load that was put down. One that weighs less than nothing was not there:
-    another was picked up when it would be over."""
-    moves = []
+    another was picked up when it would be over; and one that begins after the recording is not over."""
+    moves, (first, *_, last) = [], fit.samples.time[fit.train_mask].tolist()
     for number, effect in enumerate(fit.effects):
         of_recording = effect.own_in_each_recording and effect.start_s in breaks_s(fit.samples)
-        if effect.changes and effect.end_s is None and not of_recording:
+        begins = first if effect.start_s is None else max(first, effect.start_s)
+        if effect.changes and effect.end_s is None and not of_recording and begins < last:
             rest = with_effects(fit, others(fit, effect))
-            first, *_, last = fit.samples.time[fit.train_mask].tolist()
-            ended = with_best_edge(rest, effect, 'end_s', (max(first, effect.start_s or first), last))
+            ended = with_best_edge(rest, effect, 'end_s', (begins, last))
             after = declare(with_effects(fit, [ended if known is effect else known for known in fit.effects]), [])
             if all_plausible(fit, after) and plausible(after, number):
                 moves.append(Move.of((ended,), fit, after, math.log(fit.config.start_grid),
