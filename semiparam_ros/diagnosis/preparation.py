@@ -224,7 +224,7 @@ def too_fast(samples: Samples, inputs: Inputs, fit: Fit) -> tuple[list[str], Arr
 
     :param fit: the model on the prepared samples.
     """
-    if inputs.measured_accelerations or samples.breaks:
+    if inputs.measured_accelerations:
         return [], np.zeros(fit.body.n_outputs)
     config, raw, smoother = fit.config, inputs.working(samples), SMOOTHED[inputs.motion]
     spread = fit.samples.acceleration.std(axis=0)

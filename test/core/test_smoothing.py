@@ -98,6 +98,13 @@ def test_errors_of_accelerations_that_rounding_hides_are_not_known():
     assert np.isnan(acceleration_errors(samples, times=(1e5,))).all()
 
 
+def test_errors_of_accelerations_in_several_recordings_are_those_of_each():
+    one, other = recorded(40.0)[1], recorded(40.0)[1][:200]
+    each = [acceleration_errors(samples, times=(1.0, 2.0)) for samples in (one, other)]
+    joined = acceleration_errors(Samples.joined([one, other, other[:3]]), times=(1.0, 2.0))
+    assert joined**2 == pytest.approx(np.average(np.square(each), axis=0, weights=[len(one), len(other)]))
+
+
 def test_stretches_of_a_long_recording_are_smoothed_as_well_as_a_whole_one():
     """What lies between them is no motion: a jump of the arm from one to the next must not count as a lively one."""
     truth, seen = recorded(40.0, seconds=90.0, joints=2)

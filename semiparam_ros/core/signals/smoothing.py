@@ -129,10 +129,14 @@ def acceleration_errors(samples: Samples, measured: int = 2, order: int = ORDER,
                         times: Sequence[float] = (1.0,)) -> Array:
     """(K, n_joints) standard deviations [rad/s^2] of the smoothed accelerations' errors, as the model of the motion has
     them; if the same motion were recorded at each of K ``times`` the rate, with encoders as good. NaN where rounding
-    hides it.
+    hides it. Of several recordings, their root mean square, zero of what is hidden in one.
 
     :param measured: and ``order`` as for :func:`smoothed`.
     """
+    if samples.breaks:
+        parts = [replace(samples[part], breaks=()) for part in samples.recordings if part.stop - part.start > order]
+        squares = [len(part) * np.nan_to_num(acceleration_errors(part, measured, order, times)) ** 2 for part in parts]
+        return np.asarray(np.sqrt(np.sum(squares, axis=0) / sum(map(len, parts))))
     errors = []
     for joint, logs in enumerate(_hyperparameters(samples, measured, order)):
         problem, step, _ = _problem(samples.time, _measured(samples, joint, measured), order)
