@@ -8,6 +8,7 @@ Equal calls give equal bytes: no clock, no random number and no library version 
 
 from __future__ import annotations
 
+import fcntl
 import os
 from collections.abc import Mapping
 from contextlib import suppress
@@ -42,7 +43,7 @@ class BagWriter:
                  overwrite: bool = False) -> None:
         """Open the file, SemiparamError where that fails; ``compression``: 'zstd', 'lz4' or 'none'.
 
-        :param overwrite: also where another writer's ``PATH.partial`` is.
+        :param overwrite: also where a writer that ended left its ``PATH.partial``; one that still writes keeps it.
         """
         if compression not in _COMPRESSION:
             raise SemiparamError(f'bag compression {compression!r} is unknown: expected one of {list(_COMPRESSION)}.')
@@ -50,6 +51,7 @@ class BagWriter:
         self.partial_path = partial_path(self.path)
         self.message_count = 0
         self._file = _open_for_writing(self.partial_path, overwrite)
+        self._status = os.fstat(self._file.fileno())
         self._writer = Writer(self._file, chunk_size=chunk_bytes, compression=_COMPRESSION[compression])
         self._writer.start(profile='ros2', library='semiparam_ros')
         self._schemas: dict[tuple[str, Schema], int] = {}
@@ -130,6 +132,9 @@ class BagWriter:
         try:
             self._writer.finish()
             self._file.close()
+            if not self._is_there():
+                raise SemiparamError(f'{str(self.path)!r} is not written: {str(self.partial_path)!r} has been removed '
+                                     'or replaced meanwhile.')
             os.replace(self.partial_path, self.path)
         except OSError as error:
             raise SemiparamError(f'{str(self.path)!r} cannot be written: {error.strerror}.') from error
@@ -138,7 +143,15 @@ class BagWriter:
         """Remove what was written; an older file named ``path`` stays as it was."""
         with suppress(OSError):  # a full disk refuses what was still to be written
             self._file.close()
-        self.partial_path.unlink(missing_ok=True)
+        if self._is_there():
+            self.partial_path.unlink(missing_ok=True)
+
+    def _is_there(self) -> bool:
+        """Tell whether the file of that name is the one that is written here: it may be another's by now."""
+        try:
+            return os.path.samestat(self._status, self.partial_path.lstat())
+        except OSError:
+            return False
 
     def __enter__(self) -> BagWriter:
         return self
@@ -155,12 +168,39 @@ class BagWriter:
 
 
 def _open_for_writing(path: Path, overwrite: bool) -> IO[bytes]:
+    """The file, with its lock, which ends with this process."""
     try:
         if overwrite:
-            path.unlink(missing_ok=True)
-        return path.open('xb')
+            _remove(path)
+        stream = path.open('xb')
+        _lock(stream.fileno(), path)
+        return stream
     except FileExistsError:
         raise SemiparamError(f'{str(path)!r} holds a bag that broke off, or is being made: choose another name, or '
                              'remove it.') from None
     except OSError as error:
         raise SemiparamError(f'no bag can be written to {str(path.parent)!r}: {error.strerror}.') from error
+
+
+def _remove(path: Path) -> None:
+    """Remove what another writer left; raises SemiparamError while one writes it."""
+    left = None
+    with suppress(OSError):  # none, a link, or what may not be read
+        left = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
+    try:
+        if left is not None:
+            _lock(left, path)
+        path.unlink(missing_ok=True)
+    finally:
+        if left is not None:
+            os.close(left)
+
+
+def _lock(descriptor: int, path: Path) -> None:
+    """Take the lock of a bag in the making. Raises SemiparamError where another has it."""
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        raise SemiparamError(f'{str(path)!r} is being written by another program: choose another name.') from None
+    except OSError:  # a file system without locks
+        pass

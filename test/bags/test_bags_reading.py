@@ -3,6 +3,7 @@
 import os
 import random
 import re
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -589,6 +590,32 @@ def test_two_writers_of_one_bag_do_not_write_over_each_other(tmp_path):
     with BagWriter(tmp_path / 'a.mcap', overwrite=True) as third:
         third.write('/text', STRING, {'data': 'third'}, 0)
     assert [path.name for path in tmp_path.iterdir()] == ['a.mcap']
+
+
+def test_a_bag_that_is_being_written_is_not_replaced_by_the_next_writer(tmp_path):
+    """The first gave the half of the second the name, and said that its own messages were there."""
+    with BagWriter(tmp_path / 'a.mcap') as first:
+        first.write('/text', STRING, {'data': 'first'}, 0)
+        with pytest.raises(SemiparamError, match=r"a\.mcap\.partial' is being written by another program"):
+            BagWriter(tmp_path / 'a.mcap', overwrite=True)
+    with open_bag(tmp_path / 'a.mcap') as bag:
+        assert [message.data.data for message in bag.messages()] == ['first']
+    assert [path.name for path in tmp_path.iterdir()] == ['a.mcap']
+
+
+@pytest.mark.parametrize('finish', [BagWriter.close, BagWriter.abort])
+def test_a_writer_whose_file_was_removed_lets_that_of_the_next_be(tmp_path, finish):
+    first = BagWriter(tmp_path / 'a.mcap')
+    first.write('/text', STRING, {'data': 'first'}, 0)
+    first.partial_path.unlink()
+    with BagWriter(tmp_path / 'a.mcap') as second:
+        with suppress(SemiparamError) if finish is BagWriter.abort else pytest.raises(
+                SemiparamError, match=r"a\.mcap\.partial' has been removed or replaced meanwhile\.$"):
+            finish(first)
+        assert not second.path.exists() and second.partial_path.exists()
+        second.write('/text', STRING, {'data': 'second'}, 0)
+    with open_bag(tmp_path / 'a.mcap') as bag:
+        assert [message.data.data for message in bag.messages()] == ['second']
 
 
 @pytest.mark.parametrize('action', ['flush', 'close'])
