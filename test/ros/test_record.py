@@ -231,6 +231,20 @@ def test_a_best_effort_publisher_that_comes_later_is_heard(tmp_path):
         assert bag.topics['/wrench'].qos.reliability == 'best_effort' and bag.topics['/wrench'].count == 3
 
 
+def test_a_publisher_of_another_type_that_comes_later_is_told_and_ends_nothing(tmp_path):
+    """Of best effort, it had the recorder subscribe anew with its type: an internal error, and no recording."""
+    out = tmp_path / 'out.mcap'
+    with recorder(out, '--count', 2) as (source, wrench, record), Peer() as stranger:
+        wrench.publish(message_class(WRENCH)())
+        stranger.node.create_publisher(message_class(TEXT), '/wrench', rclpy_sensor_data())
+        source.wait_for(lambda: record.process.poll() is not None or record.said(
+            f'what is published on /wrench as {TEXT} is not recorded: its messages are recorded as {WRENCH}.'))
+        wrench.publish(message_class(WRENCH)())
+        assert record.wait() == 0, record.output
+    with open_bag(out) as bag:
+        assert bag.topics['/wrench'].qos.reliability == 'reliable' and bag.topics['/wrench'].count == 2
+
+
 def test_a_simulated_time_is_waited_for_and_what_came_before_it_has_its_beginning(tmp_path):
     """A latched description had the time 0, so that a playback waited for the rest for years."""
     out = tmp_path / 'out.mcap'
@@ -278,7 +292,7 @@ def test_what_arrives_while_it_is_written_does_not_end_a_recording_without_a_tim
 def test_of_several_offers_the_one_is_recorded_that_every_subscriber_can_use(monkeypatch):
     """The first was: of best effort, a replay of it reached no reliable subscriber."""
     recorded = []
-    monkeypatch.setattr(topics, 'offers', lambda node, topic: [Qos(reliability='best_effort', depth=3), Qos(depth=2)])
+    monkeypatch.setattr(topics, 'offers', lambda *_: [Qos(reliability='best_effort', depth=3), Qos(depth=2)])
     node = RecordNode.__new__(RecordNode)
     node._writer = SimpleNamespace(add_topic=lambda *topic: recorded.append(topic), write_raw=lambda *message: None)
     node.counts, node.topics, node._limits = {'/a': 0}, {'/a': TEXT}, Limits()

@@ -10,7 +10,7 @@ from functools import partial
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from rclpy.subscription import Subscription
 
-from semiparam_ros.bags.qos import agreed
+from semiparam_ros.bags.qos import Qos, agreed
 from semiparam_ros.bags.writer import BagWriter
 from semiparam_ros.ros.answering import AnsweringNode
 from semiparam_ros.ros.cdr import begins_with_header
@@ -65,13 +65,13 @@ class RecordNode(AnsweringNode):
         """Subscribe, or subscribe anew where a publisher has come that the subscription does not match."""
         known = self._inputs.get(topic)
         if known is not None:
-            if topics.receives_all(known.qos_profile, topics.offers(self, topic)):
+            if topics.receives_all(known.qos_profile, self._offers(topic)):
                 return
             self._take(topic, known)
             self.destroy_subscription(known)
         self.topics[topic] = type_name
         self.counts.setdefault(topic, 0)
-        profile = topics.best_qos(self, topic)
+        profile = topics.best_qos(self, topic, type_name)
         if profile.durability == DurabilityPolicy.TRANSIENT_LOCAL:
             self._latched.add(topic)
         self._inputs[topic] = self.create_subscription(
@@ -85,8 +85,11 @@ class RecordNode(AnsweringNode):
 
     def connected(self) -> bool:
         """Tell whether every subscription has found the publishers that the graph knows."""
-        return all(subscription.get_publisher_count() >= self.count_publishers(topic)
+        return all(subscription.get_publisher_count() >= len(self._offers(topic))
                    for topic, subscription in self._inputs.items())
+
+    def _offers(self, topic: str) -> list[Qos]:
+        return topics.offers(self, topic, self.topics[topic])
 
     def _receive(self, topic: str, raw: bytes) -> None:
         stamp = self.now()
@@ -139,7 +142,7 @@ class RecordNode(AnsweringNode):
 
     def _write(self, topic: str, raw: bytes, stamp: int) -> None:
         if not self.counts[topic]:
-            offers = topics.offers(self, topic)
+            offers = self._offers(topic)
             self._writer.add_topic(topic, self.topics[topic], agreed(offers) if offers else None)
         self._writer.write_raw(topic, raw, stamp)
         self.counts[topic] += 1

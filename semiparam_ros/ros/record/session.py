@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.status import Status
 
 from semiparam_ros.bags.writer import BagWriter
-from semiparam_ros.errors import SemiparamError
+from semiparam_ros.errors import SemiparamError, listed
 from semiparam_ros.ros.context import DELIVER_S, RosProcess, call_in_executor
 from semiparam_ros.ros.discovery import Stopped, handshake, require_topic_names, wait_until
 from semiparam_ros.ros.record import topics
@@ -157,14 +157,24 @@ class RecordSession:
     def _look(self, node: RecordNode) -> list[str]:
         """Subscribe to what the graph has now; the names that are still missing."""
         found, missing = topics.find(node, self._options)
-        for topic, type_name in found.items():
+        for topic, types in found.items():
+            published = [each for each in types if topics.offers(node, topic, each)]
+            type_name = node.topics.get(topic, (published or types)[0])
             obstacle = topics.obstacle(type_name)
             if not obstacle:
                 call_in_executor(node, partial(node.follow, topic, type_name))
-            elif topic not in self._skipped:
-                self._skipped[topic] = f'{topic} is not recorded: {obstacle}.'
-                self._say(self._skipped[topic])
+            others = [each for each in published if each != type_name]
+            if obstacle or others:
+                self._skip(topic, f'{topic} is not recorded: {obstacle}.' if obstacle else
+                           f'what is published on {topic} as {listed(others)} is not recorded: its messages are '
+                           f'recorded as {type_name}.')
         return missing
+
+    def _skip(self, topic: str, sentence: str) -> None:
+        """Tell once for each topic what of it is left out."""
+        if topic not in self._skipped:
+            self._skipped[topic] = sentence
+            self._say(sentence)
 
     def _wait_for_the_end(self, node: RecordNode, writer: BagWriter) -> None:
         """Write until a limit is reached, doing what is due meanwhile; raises Stopped on a signal."""

@@ -18,7 +18,7 @@ from semiparam_ros.ros.recorded_qos import from_rclpy, subscription_qos, to_rclp
 HOUSEKEEPING = ('/parameter_events', '/rosout')
 
 
-def find(node: Node, options: RecordOptions) -> tuple[dict[str, str], list[str]]:
+def find(node: Node, options: RecordOptions) -> tuple[dict[str, list[str]], list[str]]:
     """The topics to record and their types, as far as the graph knows them now, and the nodes and
     topics sought that are not there (yet)."""
     graph = dict(node.get_topic_names_and_types())
@@ -30,7 +30,7 @@ def find(node: Node, options: RecordOptions) -> tuple[dict[str, str], list[str]]
         missing += [] if theirs else [name]
     missing += [topic for topic in named if topic not in graph]
     kept = options.selection.of(sorted(topic for topic in chosen if topic in named or topic not in HOUSEKEEPING))
-    return {topic: graph[topic][0] for topic in kept if topic in graph}, missing
+    return {topic: graph[topic] for topic in kept if topic in graph}, missing
 
 
 def node_topics(node: Node, full_name: str) -> set[str]:
@@ -55,9 +55,10 @@ def obstacle(type_name: str) -> str:
     return ''
 
 
-def offers(node: Node, topic: str) -> list[Qos]:
-    """Offers of the publishers of a topic."""
-    return [from_rclpy(info.qos_profile) for info in node.get_publishers_info_by_topic(topic)]
+def offers(node: Node, topic: str, type_name: str) -> list[Qos]:
+    """Offers of the publishers of a topic, those of other types apart."""
+    return [from_rclpy(info.qos_profile) for info in node.get_publishers_info_by_topic(topic)
+            if info.topic_type == type_name]
 
 
 def sources(node: Node, topics: Iterable[str]) -> set[str]:
@@ -65,9 +66,9 @@ def sources(node: Node, topics: Iterable[str]) -> set[str]:
     return {owner(info) for topic in topics for info in node.get_publishers_info_by_topic(topic)}
 
 
-def best_qos(node: Node, topic: str) -> QoSProfile:
+def best_qos(node: Node, topic: str, type_name: str) -> QoSProfile:
     """A subscription for all publishers of a topic, or before there are any, for those its subscribers expect."""
-    known = offers(node, topic)
+    known = offers(node, topic, type_name)
     if not known:
         wanted = [from_rclpy(info.qos_profile) for info in node.get_subscriptions_info_by_topic(topic)]
         latched = [each for each in wanted if each.latched]
