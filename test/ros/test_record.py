@@ -346,6 +346,17 @@ def test_an_older_file_is_not_replaced_unless_asked(tmp_path):
         RecordOptions(tmp_path / 'new.mcap')
 
 
+def test_a_file_that_got_the_name_meanwhile_is_not_replaced(tmp_path):
+    out = tmp_path / 'out.mcap'
+    with recorder(out) as (_, wrench, record):
+        wrench.publish(message_class(WRENCH)())
+        out.write_bytes(b'of another')
+        record.interrupt()
+        assert record.wait() == 2, record.output
+    assert record.said("out.mcap' has appeared meanwhile and is not replaced; ")
+    assert out.read_bytes() == b'of another' and topics_of(tmp_path / 'out.mcap.partial') == {'/wrench': 1}
+
+
 def test_what_a_silent_robots_node_says_again_and_again_keeps_no_recording_going():
     """Its ~/payload came each second, so that --until-idle never ended a recording of the estimator."""
     node = RecordNode.__new__(RecordNode)

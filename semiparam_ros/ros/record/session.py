@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import threading
 import time
 from collections.abc import Sequence
@@ -123,12 +124,20 @@ class RecordSession:
             self._let_the_last_arrive(ros, node)
             node.write_arrived()
             _check(ros, node, writer)
+            self._require_name(writer)
             writer.close()
             if node.went_back:
                 self._say('the clock went back meanwhile: messages of before and after it share log times, and are '
                           'played mixed.')
             return RecordAccount(str(self._options.path), time.monotonic() - self._began, dict(node.counts),
                                  tuple(self._skipped.values()))
+
+    def _require_name(self, writer: BagWriter) -> None:
+        """Raise SemiparamError where a file has got the name meanwhile that nobody said to replace."""
+        if os.path.lexists(writer.path) and not self._options.overwrite:
+            writer.flush()
+            raise SemiparamError(f'{str(writer.path)!r} has appeared meanwhile and is not replaced; '
+                                 f'{str(writer.partial_path)!r} holds the recording.')
 
     def _find(self, node: RecordNode) -> None:
         """Subscribe to everything named, and say so once it is connected."""
