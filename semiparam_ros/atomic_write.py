@@ -6,6 +6,7 @@ interrupted removes the neighbour and leaves an older file of the name as it was
 
 from __future__ import annotations
 
+import fcntl
 import os
 import re
 import secrets
@@ -93,12 +94,36 @@ def append_line(path: str | os.PathLike[str], line: str) -> None:
 
 
 def remove_leftovers(path: str | os.PathLike[str]) -> None:
-    """Remove the neighbours that writers of this file left when they were killed; nobody else may be writing it."""
+    """Remove the neighbours that killed writers of this file left; those that write it now keep theirs."""
     path = Path(path)
     with suppress(OSError):
         for entry in os.scandir(path.parent):
             if entry.name.startswith(_prefix(path)) and re.fullmatch('[0-9a-f]{12}', entry.name[len(_prefix(path)):]):
-                os.unlink(entry)
+                _remove_if_left(entry.path)
+
+
+def has_lock(descriptor: int) -> bool:
+    """Take the lock of an open file, which ends with it; False while another has it.
+
+    Whoever asks has it where a file system knows no locks.
+    """
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:
+        pass
+    return True
+
+
+def _remove_if_left(path: str) -> None:
+    """Remove a neighbour, unless another process, or another thread, writes it."""
+    descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
+    try:
+        if has_lock(descriptor):
+            os.unlink(path)
+    finally:
+        os.close(descriptor)
 
 
 def _prefix(path: Path) -> str:
@@ -113,8 +138,10 @@ def _neighbour(path: Path) -> Path:
 
 
 def _make(temporary: Path) -> int:
-    """Make the neighbour. Not tempfile.mkstemp, which makes files that nobody else may read."""
-    return os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666)
+    """Make the neighbour, with its lock. Not tempfile.mkstemp, which makes files that nobody else may read."""
+    descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666)
+    has_lock(descriptor)
+    return descriptor
 
 
 def _require_replaceable(path: Path) -> None:

@@ -110,6 +110,14 @@ def test_what_another_writer_writes_under_a_long_name_like_this_one_stays(tmp_pa
     assert left.read_bytes() == b'left'
 
 
+def test_what_another_writer_of_the_same_file_is_writing_stays(tmp_path):
+    """Of two nodes with one state_file one could not save while the other did: 'No such file or directory'."""
+    with replacing(tmp_path / 's.npz') as stream:
+        stream.write(b'state')
+        remove_leftovers(tmp_path / 's.npz')
+    assert (tmp_path / 's.npz').read_bytes() == b'state' and os.listdir(tmp_path) == ['s.npz']
+
+
 @pytest.mark.parametrize(('name', 'reason'), [
     ('none/x', 'No such file'), ('', 'it is a folder'), ('/', 'it is a folder'), ('/dev/null', 'a device or a pipe'),
     ('a\0b', 'null character'), ('n' * 300, 'File name too long')])

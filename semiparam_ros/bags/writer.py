@@ -8,7 +8,6 @@ Equal calls give equal bytes: no clock, no random number and no library version 
 
 from __future__ import annotations
 
-import fcntl
 import os
 from collections.abc import Mapping
 from contextlib import suppress
@@ -17,6 +16,7 @@ from typing import IO
 
 from mcap.writer import CompressionType, Writer
 
+from semiparam_ros.atomic_write import has_lock
 from semiparam_ros.bags import recording_layout, schemas
 from semiparam_ros.bags.qos import Qos, dump_profiles
 from semiparam_ros.bags.schemas import UNKNOWN, Schema
@@ -198,9 +198,5 @@ def _remove(path: Path) -> None:
 
 def _lock(descriptor: int, path: Path) -> None:
     """Take the lock of a bag in the making. Raises SemiparamError where another has it."""
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        raise SemiparamError(f'{str(path)!r} is being written by another program: choose another name.') from None
-    except OSError:  # a file system without locks
-        pass
+    if not has_lock(descriptor):
+        raise SemiparamError(f'{str(path)!r} is being written by another program: choose another name.')
