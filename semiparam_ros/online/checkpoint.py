@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import glob
 import os
 import time
@@ -17,6 +18,9 @@ from semiparam_ros.online.file_thread import FileThread
 from semiparam_ros.online.folder_lock import FolderLock, stem
 from semiparam_ros.online.state_file import SavedState, Snapshot
 from semiparam_ros.settings.snapshot import Settings
+
+NOT_THE_FILES_FAULT = (errno.EMFILE, errno.ENFILE, errno.ENOMEM)
+"""What the process, or the machine, has not enough of to open any file."""
 
 
 class Checkpoints:
@@ -106,10 +110,26 @@ class Checkpoints:
             self._was_locked = True
             raise
         for path in (self.path, self.previous):
-            _move_away_if_foreign(path)
+            self._move_away_if_foreign(path)
         self._move_others_aside(state)
         state_file.write(self.path, state, self._make_previous)
         self._first = False
+
+    def _move_away_if_foreign(self, path: Path) -> None:
+        """A damaged state, or another's file: it keeps its content under another name, and must not stop the saving.
+
+        Raises SemiparamError where it is not the file's fault that it cannot be read.
+        """
+        try:
+            state_file.replaceable(path)
+        except SemiparamError as error:
+            cause = error.__cause__
+            if isinstance(cause, MemoryError) or (isinstance(cause, OSError) and cause.errno in NOT_THE_FILES_FAULT):
+                raise
+            away = path.with_name(f'{path.stem}.unreadable-{time.time_ns()}{path.suffix}')
+            with suppress(OSError):
+                os.rename(path, away)
+                self.news.append(f'{path} is no saved state that can be read. It is moved to {away}.')
 
     def _move_others_aside(self, state: Snapshot) -> None:
         names = state_file.FIXED if self._went_on else (*state_file.ADOPTED, *state_file.FIXED)
@@ -126,12 +146,3 @@ class Checkpoints:
     def _make_previous(self) -> None:
         with suppress(FileNotFoundError):
             os.replace(self.path, self.previous)
-
-
-def _move_away_if_foreign(path: Path) -> None:
-    """A damaged state, or another's file: it keeps its content under another name, and must not stop the saving."""
-    try:
-        state_file.replaceable(path)
-    except SemiparamError:
-        with suppress(OSError):
-            os.rename(path, path.with_name(f'{path.stem}.unreadable-{time.time_ns()}{path.suffix}'))

@@ -270,7 +270,11 @@ def replaceable(path: Path) -> Configuration | None:
         return None
     try:
         return _configuration(path)
-    except Exception:  # zipfile, numpy and json each raise their own errors for a foreign file
+    except Exception as error:  # zipfile, numpy and json each raise their own errors for a foreign file
+        cause = error.__cause__
+        if isinstance(cause, MemoryError) or (isinstance(cause, OSError) and cause.errno):
+            reason = 'there is no memory for it' if isinstance(cause, MemoryError) else cause.strerror
+            raise SemiparamError(f'{path} cannot be read, so it is not replaced: {reason}.') from cause
         raise SemiparamError(f'{path} is no saved state, so it is not replaced; move it away, or choose another '
                              'name.') from None
 

@@ -4,12 +4,14 @@ import json
 import math
 import os
 import pickle
+import resource
 import subprocess
 import sys
 import threading
 import tracemalloc
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -356,6 +358,38 @@ def test_two_generations_of_checkpoints(tmp_path):
     assert len(aside) == 1 and (tmp_path / aside[0]).stat().st_size == 5000
     checkpoints.previous.write_bytes(b'')
     assert checkpoints.newest(SETTINGS, BODY) is None and len(checkpoints.remarks) == 1
+
+
+@contextmanager
+def no_file_can_be_opened():
+    """The process has as many files as it may."""
+    limits, taken = resource.getrlimit(resource.RLIMIT_NOFILE), []
+    resource.setrlimit(resource.RLIMIT_NOFILE, (max(map(int, os.listdir('/proc/self/fd'))), limits[1]))
+    try:
+        with suppress(OSError):
+            while True:
+                taken.append(os.open(os.devnull, os.O_RDONLY))
+        yield
+    finally:
+        for descriptor in taken:
+            os.close(descriptor)
+        resource.setrlimit(resource.RLIMIT_NOFILE, limits)
+
+
+def test_good_checkpoints_stay_where_the_process_can_open_no_file(tmp_path):
+    """They were taken for damaged and moved aside without a word: the node then went on from none."""
+    checkpoints, state = Checkpoints(tmp_path, 'estimator'), stage_of(SETTINGS, motion(3)).learner.state()
+    for _ in range(2):
+        checkpoints.save(state)
+    before = contents(tmp_path)
+    with no_file_can_be_opened():
+        for save in (checkpoints.save, partial(state_file.save, checkpoints.path)):
+            with pytest.raises(SemiparamError, match=r'cannot be read, so it is not replaced: Too many open files\.$'):
+                save(state)
+    assert contents(tmp_path) == before and not checkpoints.news
+    checkpoints.path.write_bytes(b'')
+    checkpoints.save(state)
+    assert len(checkpoints.news) == 1 and 'is no saved state that can be read. It is moved to' in checkpoints.news[0]
 
 
 def test_a_checkpoint_is_written_in_a_thread_as_the_state_was(tmp_path):
