@@ -105,6 +105,10 @@ class Pair:
         self.opened.close()
 
 
+MOST_LEAKED_MB = 10.0
+"""So much more than the spared node may the fuzzed one come to hold: both keep the latest samples."""
+
+
 class Options(NamedTuple):
     """How long [s], at what rate [Hz] good samples come, the choice of the others, and the size of the model."""
 
@@ -165,11 +169,10 @@ def tell(found):
     print(f'{found["samples"]} good samples in {found["took_s"]:.0f} s '
           f'({found["samples"] / found["took_s"]:.1f} Hz) to each of two nodes, all answered by both.\n')
     tell_thrown(fuzzer, invalid_requests, found['counted'])
-    early = memory[min(len(memory) - 1, len(memory) // 10)]
-    for name, start, first, middle, end in zip(('fuzzed', 'spared'), memory[0], early, memory[len(memory) // 2],
-                                               memory[-1], strict=True):
-        print(f'memory of the {name} node: {start:.1f} MB after {CHECK_EVERY} samples, {first:.1f} MB after a tenth, '
-              f'{middle:.1f} MB halfway, {end:.1f} MB at the end')
+    early, middle, late = floors = held_at_least(memory)
+    for name, start, *least, most in zip(('fuzzed', 'spared'), memory[0], *floors, memory.max(axis=0), strict=True):
+        print(f'memory of the {name} node: {start:.1f} MB after {CHECK_EVERY} samples, at least {least[0]:.1f} MB in '
+              f'the second tenth, {least[1]:.1f} MB halfway, {least[2]:.1f} MB in the last; at most {most:.1f} MB')
     print(f'deaths: {found["alive"].count(False)}; exit codes after SIGINT: {found["codes"]}; internal errors in the '
           f'log: {found["internal"]}; parameters equal to those of the other node: {found["parameters equal"]}')
     print(f'longest time without an answer that was due: {found["gap_s"]:.2f} s')
@@ -179,4 +182,15 @@ def tell(found):
     return (all(found['alive']) and found['codes'] == [0, 0] and not found['internal'] and not invalid_requests.wrong
             and found['gap_s'] < node_settings.MOST_SILENT_S and found['parameters equal']
             and all(counted == wanted for counted, wanted in found['counted'].values())
-            and max(*found['worst'].values(), found['apart']) == 0.0 and memory[-1][0] < early[0] + 10.0)
+            and max(*found['worst'].values(), found['apart']) == 0.0
+            and np.subtract(*(late - early)) < MOST_LEAKED_MB and np.subtract(*(middle - early)) < MOST_LEAKED_MB)
+
+
+def held_at_least(memory):
+    """(3, 2) least of the memory [MB] of each node in the second tenth, around the middle, and in the last tenth.
+
+    Now and then a node holds a state that is being written or read: what it holds at one moment tells of no leak.
+    """
+    tenth = max(len(memory) // 10, 1)
+    return [memory[start:start + tenth].min(axis=0)
+            for start in (min(tenth, len(memory) - 1), len(memory) // 2, len(memory) - tenth)]
