@@ -11,8 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import NamedTuple
+from dataclasses import replace
 
 import numpy as np
 
@@ -20,17 +19,18 @@ from semiparam_ros.core.robot.frames import last_links
 from semiparam_ros.core.robot.joint_friction import turn_speeds
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
-from semiparam_ros.core.types import Array, Mask
+from semiparam_ros.core.types import Mask
 from semiparam_ros.diagnosis.config import DEFAULTS, DiagnosisConfig
 from semiparam_ros.diagnosis.data.outliers import untouched
 from semiparam_ros.diagnosis.data.splits import block_sums
-from semiparam_ros.diagnosis.evaluation import EvaluationFigures, evaluate_here
-from semiparam_ros.diagnosis.findings import Quantity, quantities
+from semiparam_ros.diagnosis.evaluation import evaluate_here
+from semiparam_ros.diagnosis.findings import quantities
+from semiparam_ros.diagnosis.named_change import ChangeRival, Gain, NamedChange, Quantity
 from semiparam_ros.diagnosis.preparation import Inputs, prepared, require_enough
 from semiparam_ros.diagnosis.regression import Fit, refit_weights, with_effects
 from semiparam_ros.diagnosis.search.moves import Move
 from semiparam_ros.diagnosis.search.plausibility import plausible
-from semiparam_ros.diagnosis.search.score import Gain, gain, repetition, summed
+from semiparam_ros.diagnosis.search.score import gain, repetition, summed
 from semiparam_ros.diagnosis.search.spans import with_best_edge
 from semiparam_ros.diagnosis.search.stepwise import starting_fit
 from semiparam_ros.diagnosis.uncertainty import estimates
@@ -38,58 +38,6 @@ from semiparam_ros.effects import Effect, kinds
 from semiparam_ros.effects.base import Span
 from semiparam_ros.effects.drive import EffortOffset, RotorInertia
 from semiparam_ros.effects.friction import CoulombFriction, ViscousFriction, plain_friction
-
-
-class ChangeRival(NamedTuple):
-    """Another effect in place of the likeliest: by how much [nat] that one is better."""
-
-    kind: str
-    where: str | None
-    behind: float
-
-
-@dataclass(frozen=True, kw_only=True)
-class NamedChange:
-    """The likeliest effect, None where none is worth its price.
-
-    :param gain: of log density of unseen blocks by it, and its standard error [nat].
-    :param price: minus the log of its prior probability.
-    :param rivals: the foremost others. :param parameters: its values.
-    :param before: errors of the model before the change.
-    :param without: of the model without the effect, after it. :param after: of the one with it.
-    :param seconds: of motion that was looked at after it.
-    :param inputs: how the samples were prepared, for the next one of the same robot.
-    """
-
-    effect: Effect | None
-    gain: Gain
-    price: float
-    rivals: tuple[ChangeRival, ...]
-    parameters: dict[str, Quantity]
-    before: EvaluationFigures
-    without: EvaluationFigures
-    after: EvaluationFigures
-    seconds: float
-    inputs: Inputs
-
-    @property
-    def coefficients(self) -> tuple[Array, Array]:
-        """(c,) values of the effect, and (c,) their standard deviations."""
-        found = self.parameters.values()
-        return (np.array([each.value for each in found]),
-                np.array([each.std or 0.0 for each in found]))
-
-    def as_dict(self) -> dict[str, object]:
-        """For a record."""
-        effect = self.effect
-        named = effect and {
-            'kind': effect.kind, 'where': effect.where, **effect.span.values,
-            'sentence': effect.sentence,
-            'parameters': {name: vars(quantity) for name, quantity in self.parameters.items()}}
-        return {'effect': named, 'log_evidence_gain': self.gain.total,
-                'log_evidence_error': self.gain.error, 'price': self.price,
-                'rivals': [rival._asdict() for rival in self.rivals], 'before': self.before,
-                'without': self.without, 'after': self.after, 'seconds_after': self.seconds}
 
 
 def name_change(body: RigidBody, samples: Samples, effects: Sequence[Effect], since_s: float,

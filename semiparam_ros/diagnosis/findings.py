@@ -8,21 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from semiparam_ros.core.types import Array
+from semiparam_ros.diagnosis.named_change import Quantity
 from semiparam_ros.diagnosis.regression import Fit
 from semiparam_ros.diagnosis.search.candidates import identity
 from semiparam_ros.diagnosis.search.score import worth
 from semiparam_ros.diagnosis.search.stepwise import Rival, Step
 from semiparam_ros.diagnosis.uncertainty import Estimates
 from semiparam_ros.effects import Effect
-
-
-@dataclass(frozen=True)
-class Quantity:
-    """A fitted number; ``std`` is None where it was searched rather than estimated."""
-
-    value: float
-    std: float | None
-    unit: str
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,8 @@ from typing import NamedTuple
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.diagnosis.data.recordings import breaks_s, own_time
 from semiparam_ros.diagnosis.diagnose import Diagnosis
-from semiparam_ros.diagnosis.findings import Finding, Quantity
+from semiparam_ros.diagnosis.findings import Finding
+from semiparam_ros.diagnosis.named_change import Quantity
 from semiparam_ros.diagnosis.search.candidates import fixed, identity
 from semiparam_ros.diagnosis.search.stepwise import Rival
 from semiparam_ros.diagnosis.setup.identifiability import listed

@@ -15,13 +15,14 @@ import numpy as np
 from semiparam_ros.core.types import Array
 from semiparam_ros.diagnosis.data.splits import block_sums, correlation_times
 from semiparam_ros.diagnosis.findings import places_in
+from semiparam_ros.diagnosis.named_change import Gain
 from semiparam_ros.diagnosis.regression import Fit, with_effects
 from semiparam_ros.diagnosis.residual.flexible import StandardisedInputs, explained
 from semiparam_ros.diagnosis.residual.structure import samples_to_look_at
 from semiparam_ros.diagnosis.search.candidates import others
 from semiparam_ros.diagnosis.search.refit import remaining
 from semiparam_ros.diagnosis.search.revision import pruned
-from semiparam_ros.diagnosis.search.score import Gain, coarsened, summed
+from semiparam_ros.diagnosis.search.score import coarsened, summed
 from semiparam_ros.diagnosis.search.stepwise import Step
 
 

@@ -12,7 +12,7 @@ from semiparam_ros.online.followed_change import Change
 from semiparam_ros.online.wandering_contact import CONTACT_S
 
 if TYPE_CHECKING:
-    from semiparam_ros.diagnosis.change import NamedChange
+    from semiparam_ros.diagnosis.named_change import NamedChange
 
 ASSUMED = 'taken off until it is named'
 TRIED, APPLIED, TAKEN_BACK = 'tried beside the model', 'applied', 'taken back'

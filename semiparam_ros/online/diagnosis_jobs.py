@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 import time
 from collections.abc import Sequence
 from dataclasses import replace
@@ -14,8 +15,8 @@ from semiparam_ros.online.history import SampleBatch
 from semiparam_ros.online.worker import report_progress
 
 if TYPE_CHECKING:
-    from semiparam_ros.diagnosis.change import NamedChange
     from semiparam_ros.diagnosis.diagnose import Diagnosis
+    from semiparam_ros.diagnosis.named_change import NamedChange
     from semiparam_ros.diagnosis.preparation import Inputs
     from semiparam_ros.effects import Effect
 
@@ -114,15 +115,15 @@ def name_change(
     effects: Sequence[Effect],
     since: tuple[int, int],
     ended: int | None,
-    inputs: Inputs | None,
+    inputs: Inputs | bytes | None,
     taken_off: Sequence[Contribution],
     contacts: Sequence[tuple[int, int]] = (),
 ) -> NamedChange:
     """Name what began between two stamps [ns], and ended at another; times of the effect as stamps.
     See :func:`~semiparam_ros.diagnosis.change.name_change`.
 
-    :param taken_off: what was taken off the samples before they were kept. :param contacts: stamps
-        [ns] between which the robot was touched.
+    :param inputs: those of the name before. :param taken_off: what was taken off the samples before they were kept.
+    :param contacts: stamps [ns] between which the robot was touched.
     """
     from semiparam_ros.diagnosis.change import name_change
 
@@ -132,11 +133,13 @@ def name_change(
     samples, origin = as_measured(body, samples, taken_off), samples.origin
     touched_s, since_s = ((stamp - origin) * 1e-9 for stamp in since)
     ended_s = None if ended is None else (ended - origin) * 1e-9
+    inputs = pickle.loads(inputs) if isinstance(inputs, bytes) else inputs
     found = name_change(
         body, samples, effects, since_s, ended_s, inputs, touched_s=touched_s,
         contacts=_seconds(contacts, origin)
     )
-    return found if found.effect is None else replace(found, effect=found.effect.at_stamps(origin))
+    effect = None if found.effect is None else found.effect.at_stamps(origin)
+    return replace(found, effect=effect, inputs=pickle.dumps(found.inputs))
 
 
 def _seconds(spans: Sequence[tuple[int, int]], origin: int) -> list[tuple[float, float]]:

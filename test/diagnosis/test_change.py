@@ -12,8 +12,8 @@ from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.diagnosis import change
 from semiparam_ros.diagnosis.change import name_change
 from semiparam_ros.diagnosis.config import DEFAULTS
+from semiparam_ros.diagnosis.named_change import Gain
 from semiparam_ros.diagnosis.search.moves import Move
-from semiparam_ros.diagnosis.search.score import Gain
 from semiparam_ros.diagnosis.search.stepwise import starting_fit
 from semiparam_ros.effects import effect_from_text, kinds
 from semiparam_ros.experiments.scoreboard import body_of, samples_of

@@ -22,7 +22,7 @@ from semiparam_ros.diagnosis.data.outliers import working_factor
 from semiparam_ros.diagnosis.data.splits import correlation_times, interleaved_split, leading_split, ranges
 from semiparam_ros.diagnosis.diagnose import VERDICTS, diagnose
 from semiparam_ros.diagnosis.evaluation import evaluate_here, evaluate_there
-from semiparam_ros.diagnosis.findings import Quantity
+from semiparam_ros.diagnosis.named_change import Quantity
 from semiparam_ros.diagnosis.regression import fit_model
 from semiparam_ros.diagnosis.residual.formula import _pursuit
 from semiparam_ros.diagnosis.residual.noise import noise_floor

@@ -8,6 +8,7 @@ import pytest
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.core.samples import Samples
 from semiparam_ros.diagnosis.diagnose import diagnose
+from semiparam_ros.diagnosis.named_change import Gain
 from semiparam_ros.diagnosis.preparation import averaged
 from semiparam_ros.diagnosis.residual.contacts import contacts
 from semiparam_ros.diagnosis.search import revision
@@ -15,7 +16,7 @@ from semiparam_ros.diagnosis.search.moves import Move, hidden_moves, single_move
 from semiparam_ros.diagnosis.search.plausibility import without_impossible
 from semiparam_ros.diagnosis.search.refit import declare, gauss_newton, settled
 from semiparam_ros.diagnosis.search.revision import bent, pruned, with_common_forms, with_usual
-from semiparam_ros.diagnosis.search.score import Gain, gain, worth
+from semiparam_ros.diagnosis.search.score import gain, worth
 from semiparam_ros.diagnosis.search.scoring import coarse_trial, refine_foremost
 from semiparam_ros.diagnosis.search.stepwise import starting_fit
 from semiparam_ros.effects import kinds

@@ -18,6 +18,7 @@ from semiparam_ros.diagnosis.config import DEFAULTS
 from semiparam_ros.diagnosis.data.outliers import counted_outputs, resting
 from semiparam_ros.diagnosis.diagnose import _unlike, diagnose
 from semiparam_ros.diagnosis.evaluation import evaluation_of
+from semiparam_ros.diagnosis.named_change import Gain
 from semiparam_ros.diagnosis.preparation import BUT_ACCELERATIONS, ESTIMATED, best_inputs
 from semiparam_ros.diagnosis.regression import Fit, fit_model, refitted, with_effects
 from semiparam_ros.diagnosis.search import stepwise
@@ -25,7 +26,7 @@ from semiparam_ros.diagnosis.search.candidates import added_columns, candidates,
 from semiparam_ros.diagnosis.search.moves import Move, simplest, swapping_moves
 from semiparam_ros.diagnosis.search.plausibility import all_plausible
 from semiparam_ros.diagnosis.search.refit import declare, gauss_newton
-from semiparam_ros.diagnosis.search.score import Gain, gain
+from semiparam_ros.diagnosis.search.score import gain
 from semiparam_ros.diagnosis.search.stepwise import Rival, Step, _rivalries, _rivals, search, starting_fit
 from semiparam_ros.diagnosis.text_report import text_report
 from semiparam_ros.effects import effect_from_text, kinds

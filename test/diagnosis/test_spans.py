@@ -10,11 +10,12 @@ import pytest
 from semiparam_ros.diagnosis.config import DEFAULTS
 from semiparam_ros.diagnosis.diagnose import _decided, diagnose
 from semiparam_ros.diagnosis.findings import places_in
+from semiparam_ros.diagnosis.named_change import Gain
 from semiparam_ros.diagnosis.preparation import averaged
 from semiparam_ros.diagnosis.search.moves import Move, ending_moves, simplest
 from semiparam_ros.diagnosis.search.plausibility import all_plausible
 from semiparam_ros.diagnosis.search.refit import declare
-from semiparam_ros.diagnosis.search.score import Gain, block_gains, gain
+from semiparam_ros.diagnosis.search.score import block_gains, gain
 from semiparam_ros.diagnosis.search.stepwise import search, starting_fit
 from semiparam_ros.diagnosis.text_report import summary, text_report
 from semiparam_ros.effects import kinds

@@ -7,7 +7,8 @@ import pytest
 
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.diagnosis.diagnose import diagnose
-from semiparam_ros.diagnosis.findings import Quantity, declared_findings
+from semiparam_ros.diagnosis.findings import declared_findings
+from semiparam_ros.diagnosis.named_change import Quantity
 from semiparam_ros.diagnosis.preparation import Inputs
 from semiparam_ros.diagnosis.regression import fit_model, refit_weights
 from semiparam_ros.diagnosis.search.refit import fitted_to_all

@@ -1,5 +1,8 @@
 """Changes are noticed, told from contacts, followed until they end, and named."""
 
+import pickle
+import subprocess
+import sys
 from copy import deepcopy
 from dataclasses import replace
 from functools import cache
@@ -487,6 +490,21 @@ def test_what_was_found_helps_as_long_as_it_is_there(until, helps):
     found = effect_from_text(f'payload@r_gripper {{"start_s": {LOADED_S[0]}}}')
     gain = gain_since(body, samples, LOADED_S[1], [], [found])
     assert (gain.total > 12.0) if helps else (gain.total < -12.0)
+
+
+def test_a_node_that_is_told_a_name_loads_nothing_of_the_diagnosis():
+    """Its first name loaded 186 modules, scipy.optimize among them, in the process that answers: 30 to 80 MB."""
+    body, samples, _ = loaded()
+    batch = batch_of((sample, True) for sample in samples[(samples.time > 10.0) & (samples.time < 76.0)])
+    since = samples.origin + round((LOADED_S[0] - 0.8) * 1e9)
+    named = diagnosis_jobs.name_change(body, batch, [], (since, since), None, None, ())
+    again = diagnosis_jobs.name_change(body, batch, [], (since, since), None, named.inputs, ())
+    assert named.effect.kind == 'payload' and again.effect.where == named.effect.where
+    code = ('import pickle, sys, semiparam_ros.ros.estimator.node; before = set(sys.modules); '
+            'print(pickle.load(sys.stdin.buffer).effect.kind, *sorted(set(sys.modules) - before))')
+    told = subprocess.run([sys.executable, '-c', code], input=pickle.dumps(named), capture_output=True, check=True)
+    kind, *loaded_now = told.stdout.decode().split()
+    assert (kind, loaded_now) == ('payload', ['semiparam_ros.diagnosis', 'semiparam_ros.diagnosis.named_change'])
 
 
 @pytest.mark.parametrize('diagnosed', [40.0, 500.0, LOADED_S[1]])

@@ -12,7 +12,7 @@ from matplotlib.colors import to_hex
 
 from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.diagnosis.diagnose import diagnose
-from semiparam_ros.diagnosis.findings import Quantity
+from semiparam_ros.diagnosis.named_change import Quantity
 from semiparam_ros.diagnosis.regression import fit_model
 from semiparam_ros.diagnosis.residual.formula import Dependence, Formula, Summand
 from semiparam_ros.diagnosis.residual.structure import Structure

@@ -8,6 +8,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from semiparam_ros.diagnosis.data.recordings import breaks_s
+from semiparam_ros.diagnosis.named_change import Gain
 from semiparam_ros.diagnosis.regression import Fit, with_effects
 from semiparam_ros.diagnosis.search.candidates import added_columns, candidates, fixed, identity, others
 from semiparam_ros.diagnosis.search.plausibility import (
@@ -19,7 +20,7 @@ from semiparam_ros.diagnosis.search.plausibility import (
 )
 from semiparam_ros.diagnosis.search.refit import declare
 from semiparam_ros.diagnosis.search.revision import formed_anew, pruned, reshaped
-from semiparam_ros.diagnosis.search.score import Gain, gain
+from semiparam_ros.diagnosis.search.score import gain
 from semiparam_ros.diagnosis.search.scoring import Progress, Trial, coarse, coarse_trial, refine_foremost
 from semiparam_ros.diagnosis.search.spans import best_spans, with_best_edge
 from semiparam_ros.effects import Effect

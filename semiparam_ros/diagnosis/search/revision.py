@@ -7,11 +7,12 @@ from collections.abc import Callable, Collection, Sequence
 
 import numpy as np
 
+from semiparam_ros.diagnosis.named_change import Gain
 from semiparam_ros.diagnosis.regression import Fit, with_effects
 from semiparam_ros.diagnosis.search.candidates import Place, added_columns, fixed, held, identity, others
 from semiparam_ros.diagnosis.search.plausibility import all_plausible, needed_errors, price, prices, usual
 from semiparam_ros.diagnosis.search.refit import calibrated, declare, remaining, settled, told_by_sliding
-from semiparam_ros.diagnosis.search.score import Gain, gain, gain_of_values, repetition, unlikely, worth
+from semiparam_ros.diagnosis.search.score import gain, gain_of_values, repetition, unlikely, worth
 from semiparam_ros.diagnosis.search.scoring import coarse_trial, line_searched
 from semiparam_ros.effects import Effect
 from semiparam_ros.effects.base import Values

@@ -29,6 +29,7 @@ from semiparam_ros.diagnosis.config import DiagnosisConfig
 from semiparam_ros.diagnosis.data.recordings import breaks_s
 from semiparam_ros.diagnosis.data.splits import block_sums
 from semiparam_ros.diagnosis.design import Part, PartInUse
+from semiparam_ros.diagnosis.named_change import Gain
 from semiparam_ros.diagnosis.regression import Fit, refit_weights, with_effects
 from semiparam_ros.diagnosis.search.candidates import added_columns, identity
 from semiparam_ros.diagnosis.search.refit import calibrated_values, points_of, shape_columns, told_by_sliding
@@ -40,17 +41,6 @@ class ChannelGrams(NamedTuple):
     acting: Indices  # (p_k,)
     gram: Array  # (B, p_k, p_k)
     moment: Array  # (B, p_k)
-
-
-class Gain(NamedTuple):
-    """By how much [nat] one model's log density of unseen blocks exceeds another's, and its standard error."""
-
-    total: float
-    error: float
-
-    def exceeds(self, price: float, errors: float) -> bool:
-        """Return whether it is more than a price [nat], and than so many of its standard errors."""
-        return self.total > max(price, errors * self.error)
 
 
 @dataclass(frozen=True, eq=False)
