@@ -10,6 +10,7 @@ probability. Loads come first by that: a robot picks up and puts down.
 from __future__ import annotations
 
 import math
+import pickle
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -41,14 +42,14 @@ from semiparam_ros.effects.friction import CoulombFriction, ViscousFriction, pla
 
 
 def name_change(body: RigidBody, samples: Samples, effects: Sequence[Effect], since_s: float,
-                ended_s: float | None = None, inputs: Inputs | None = None,
+                ended_s: float | None = None, inputs: bytes | None = None,
                 config: DiagnosisConfig = DEFAULTS, touched_s: float | None = None,
                 contacts: Sequence[tuple[float, float]] = ()) -> NamedChange:
     """Find what began near ``since_s`` [s since the origin], and was over near ``ended_s``.
 
     :param effects: those that the model holds, declared or named before.
-    :param inputs: how the samples are prepared; chosen anew, which takes most of the time, unless
-        given.
+    :param inputs: how the samples are prepared, of the name before; chosen anew, which takes most of the
+        time, unless given.
     :param touched_s: since when a contact stood out that it may have been.
     :param contacts: [s] between which the robot was touched, which is left out.
 
@@ -56,7 +57,8 @@ def name_change(body: RigidBody, samples: Samples, effects: Sequence[Effect], si
     """
     touched_s = since_s if touched_s is None else min(touched_s, since_s)
     clean = untouched(samples, contacts, config)
-    fit, inputs, changed = _first_fit(body, samples, effects, touched_s, inputs, config, clean)
+    known = None if inputs is None else pickle.loads(inputs)
+    fit, chosen, changed = _first_fit(body, samples, effects, touched_s, known, config, clean)
     tried = _ranked(fit, fit.effects[: len(effects)], (touched_s, since_s), ended_s)
     best = _likeliest(tried)
     foremost = best or (tried[0] if tried else None)
@@ -71,11 +73,11 @@ def name_change(body: RigidBody, samples: Samples, effects: Sequence[Effect], si
         rivals=tuple(
             ChangeRival(other.added[0].kind, other.added[0].where, best.net - other.net)
             for other in [other for other in tried if other is not best][:3]) if best else (),
-        parameters=_parameters(best, inputs, samples) if best else {},
+        parameters=_parameters(best, chosen, samples) if best else {},
         before=evaluate_here(fit, used & ~changed).as_dict(),
         without=evaluate_here(fit, used & rest).as_dict(),
         after=evaluate_here(best.after if best else fit, used & rest).as_dict(),
-        seconds=float(rest.sum()) * step, inputs=inputs)
+        seconds=float(rest.sum()) * step, inputs=pickle.dumps(chosen))
 
 
 def _ranked(fit: Fit, known: Sequence[Effect], since_s: tuple[float, float],

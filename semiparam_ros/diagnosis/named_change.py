@@ -12,7 +12,6 @@ from semiparam_ros.effects import Effect
 
 if TYPE_CHECKING:
     from semiparam_ros.diagnosis.evaluation import EvaluationFigures
-    from semiparam_ros.diagnosis.preparation import Inputs
 
 
 @dataclass(frozen=True)
@@ -53,8 +52,8 @@ class NamedChange:
     :param before: errors of the model before the change.
     :param without: of the model without the effect, after it. :param after: of the one with it.
     :param seconds: of motion that was looked at after it.
-    :param inputs: how the samples were prepared, for the next one of the same robot; its bytes in a process that only
-        keeps it.
+    :param inputs: how the samples were prepared, for the next one of the same robot, pickled: who keeps it need not
+        load it.
     """
 
     effect: Effect | None
@@ -66,7 +65,7 @@ class NamedChange:
     without: EvaluationFigures
     after: EvaluationFigures
     seconds: float
-    inputs: Inputs | bytes
+    inputs: bytes
 
     @property
     def coefficients(self) -> tuple[Array, Array]:

@@ -52,7 +52,6 @@ from semiparam_ros.online.worker import Background, Urgency
 
 if TYPE_CHECKING:
     from semiparam_ros.diagnosis.named_change import NamedChange
-    from semiparam_ros.diagnosis.preparation import Inputs
 
 BEFORE_S = 60.0
 """So much of what came before a change is looked at, pauses not counted."""
@@ -177,7 +176,7 @@ class ChangeWatch:
         """Number of the last change from before the clock jumped: stamps of those mean another time."""
         self._forgotten = 0
         """The largest number of a change that turned out to be a part of another one: no other one gets it."""
-        self._inputs: Inputs | bytes | None = None
+        self._inputs: bytes | None = None
         """How the samples of this robot are best prepared, once that is known."""
         self._now = 0
         """[ns] The newest sample."""

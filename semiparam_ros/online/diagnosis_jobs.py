@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
 import time
 from collections.abc import Sequence
 from dataclasses import replace
@@ -17,7 +16,6 @@ from semiparam_ros.online.worker import report_progress
 if TYPE_CHECKING:
     from semiparam_ros.diagnosis.diagnose import Diagnosis
     from semiparam_ros.diagnosis.named_change import NamedChange
-    from semiparam_ros.diagnosis.preparation import Inputs
     from semiparam_ros.effects import Effect
 
 SAMPLES_AT_MOST, SAMPLES_AT_LEAST = 5000, 1000
@@ -115,7 +113,7 @@ def name_change(
     effects: Sequence[Effect],
     since: tuple[int, int],
     ended: int | None,
-    inputs: Inputs | bytes | None,
+    inputs: bytes | None,
     taken_off: Sequence[Contribution],
     contacts: Sequence[tuple[int, int]] = (),
 ) -> NamedChange:
@@ -133,13 +131,11 @@ def name_change(
     samples, origin = as_measured(body, samples, taken_off), samples.origin
     touched_s, since_s = ((stamp - origin) * 1e-9 for stamp in since)
     ended_s = None if ended is None else (ended - origin) * 1e-9
-    inputs = pickle.loads(inputs) if isinstance(inputs, bytes) else inputs
     found = name_change(
         body, samples, effects, since_s, ended_s, inputs, touched_s=touched_s,
         contacts=_seconds(contacts, origin)
     )
-    effect = None if found.effect is None else found.effect.at_stamps(origin)
-    return replace(found, effect=effect, inputs=pickle.dumps(found.inputs))
+    return found if found.effect is None else replace(found, effect=found.effect.at_stamps(origin))
 
 
 def _seconds(spans: Sequence[tuple[int, int]], origin: int) -> list[tuple[float, float]]:
