@@ -158,7 +158,7 @@ def gain_since(body: RigidBody, batch: SampleBatch, since: int, before: Sequence
     samples = batch.samples
     if samples is None:
         return None
-    middle, newest = (int(batch.stamps[at]) for at in (len(batch) // 2, -1))
+    middle, newest = samples.stamps[[len(samples) // 2, -1]].tolist()
     since = max(since, middle) if since <= newest else middle
     try:
         samples = as_measured(body, samples, taken_off)

@@ -103,7 +103,7 @@ def repeated_moves(fit: Fit, ranking: Sequence[Trial]) -> list[Move]:
 def ending_moves(fit: Fit) -> list[Move]:
     """Moves that end what may be over: a load that was put down. One that weighs less than nothing was not there:
     another was picked up when it would be over; and one that begins after the recording is not over."""
-    moves, (first, *_, last) = [], fit.samples.time[fit.train_mask].tolist()
+    moves, (first, last) = [], fit.samples.time[fit.train_mask][[0, -1]].tolist()
     for number, effect in enumerate(fit.effects):
         of_recording = effect.own_in_each_recording and effect.start_s in breaks_s(fit.samples)
         begins = first if effect.start_s is None else max(first, effect.start_s)
