@@ -30,6 +30,7 @@ class FolderLock:
         """Take it, or have it; anew where its file has gone. Raises SemiparamError while another process has it.
 
         Where no lock can be made (no folder, a file system without locks) nothing is said: writing tells what is wrong.
+        A lock that is there and cannot be opened is an error: another node may have it.
         """
         with self._turn:  # the node's own thread may ask for it, and that of checkpoints
             self._take()
@@ -41,15 +42,13 @@ class FolderLock:
             self.release()
         with suppress(OSError):
             self._folder.mkdir(parents=True, exist_ok=True)
-        flags = os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK
-        try:
-            written = os.open(self._path, os.O_RDWR | os.O_CREAT | flags, 0o666)
-        except OSError:
+        opened = self._opened()
+        if opened is None:
             return
         try:
-            self._descriptor = self._locked(written)
+            self._descriptor = self._locked(opened)
         finally:
-            os.close(written)
+            os.close(opened)
 
     def release(self) -> None:
         """Give it up before the process ends."""
@@ -65,23 +64,43 @@ class FolderLock:
         except OSError:
             return False
 
-    def _locked(self, written: int) -> int | None:
-        """A descriptor that has the lock of a file open for writing; None where there are no locks."""
-        descriptor = os.open(f'/proc/self/fd/{written}', os.O_RDONLY | os.O_CLOEXEC)
+    def _opened(self) -> int | None:
+        """Return a descriptor of its file, for reading alone where it is another user's; None where it can have none."""
+        flags = os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK
+        with suppress(OSError):
+            return os.open(self._path, os.O_RDWR | os.O_CREAT | flags, 0o666)
+        try:
+            return os.open(self._path, os.O_RDONLY | flags)
+        except (FileNotFoundError, NotADirectoryError):
+            return None
+        except OSError as error:
+            raise SemiparamError(f'{self._path} cannot be opened ({error.strerror}): another node of this name may '
+                                 'write there, so this one writes nothing; expected a file that this user may read.'
+                                 ) from error
+
+    def _locked(self, opened: int) -> int | None:
+        """Return a descriptor that has the lock of an open file; None where there are no locks."""
+        descriptor = os.open(f'/proc/self/fd/{opened}', os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
             os.close(descriptor)
             if not isinstance(error, BlockingIOError):
                 return None
-            owner = os.pread(written, 20, 0).decode(errors='replace').strip()
-            raise SemiparamError(f'process {owner}, another node of the name {self._node_name}, has its states in '
-                                 f'{self._folder} too, so this one writes none there; expected another name or '
-                                 'another state_folder.') from None
+            raise SemiparamError(f'process {_owner(opened)}, another node of the name {self._node_name}, has its '
+                                 f'states in {self._folder} too, so this one writes none there; expected another '
+                                 'name or another state_folder.') from None
         with suppress(OSError):
-            os.ftruncate(written, 0)
-            os.pwrite(written, f'{os.getpid()}\n'.encode(), 0)
+            os.ftruncate(opened, 0)
+            os.pwrite(opened, f'{os.getpid()}\n'.encode(), 0)
         return descriptor
+
+
+def _owner(opened: int) -> str:
+    try:
+        return os.pread(opened, 20, 0).decode(errors='replace').strip()
+    except OSError:  # no file: something else of this name has the lock
+        return '(unknown)'
 
 
 def stem(node_name: str) -> str:

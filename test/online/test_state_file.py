@@ -5,8 +5,10 @@ import math
 import os
 import pickle
 import resource
+import shutil
 import subprocess
 import sys
+import tempfile
 import threading
 import tracemalloc
 from contextlib import contextmanager, suppress
@@ -644,6 +646,40 @@ def test_another_process_of_the_same_name_does_not_write(tmp_path):
     FolderLock(path / 'no folder', 'arm').take()
     (tmp_path / 'file').touch()
     FolderLock(tmp_path / 'file', 'arm').take()  # writing tells what is wrong there
+
+
+@pytest.mark.parametrize('make', [Path.mkdir, os.mkfifo, lambda path: path.touch(mode=0o444)])
+def test_whatever_has_the_name_of_a_lock_is_one_or_is_an_error(tmp_path, make):
+    """A lock that could not be opened for writing was passed over, and two nodes of a name wrote."""
+    folder = Path(tempfile.mkdtemp(dir='/tmp'))
+    try:
+        make(folder / 'arm.lock')
+        folder.chmod(0o777)
+        first, second = FolderLock(folder, 'arm'), FolderLock(folder, 'arm')
+        with another_user():
+            first.take()
+            with pytest.raises(SemiparamError, match='another node of the name arm'):
+                second.take()
+        first.release()
+        shutil.rmtree(folder / 'arm.lock') if (folder / 'arm.lock').is_dir() else (folder / 'arm.lock').unlink()
+        (folder / 'arm.lock').symlink_to(tmp_path / 'elsewhere')
+        with pytest.raises(SemiparamError, match=r'arm\.lock cannot be opened .* expected a file that this user may'):
+            first.take()
+    finally:
+        shutil.rmtree(folder)
+
+
+@contextmanager
+def another_user():
+    """A user who may not write this one's files, where this one may become another."""
+    if os.getuid():
+        yield
+        return
+    os.seteuid(65534)
+    try:
+        yield
+    finally:
+        os.seteuid(0)
 
 
 def test_a_lock_whose_folder_was_removed_is_taken_anew(tmp_path):
