@@ -65,7 +65,7 @@ class FolderLock:
             return False
 
     def _opened(self) -> int | None:
-        """Return a descriptor of its file, for reading alone where it is another user's; None where it can have none."""
+        """Return a descriptor of its file, for reading alone if another user's; None where it can have none."""
         flags = os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK
         with suppress(OSError):
             return os.open(self._path, os.O_RDWR | os.O_CREAT | flags, 0o666)
