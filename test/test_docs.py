@@ -24,7 +24,7 @@ PAGES = sorted([REPOSITORY / 'README.md', REPOSITORY / 'CONTRIBUTING.md',
                 *sorted({*(REPOSITORY / 'docs').rglob('*.md')} - {*LOG})],
                key=lambda page: '\n# terminal 1' in page.read_text(encoding='utf-8'))
 NAMES = [str(page.relative_to(REPOSITORY)) for page in PAGES]
-PARSED = {'benchmarks.md', 'comparison.md', 'robustness.md', 'replay.md', 'ros_interface.md',
+PARSED = {'benchmarks.md', 'measurements.md', 'comparison.md', 'robustness.md', 'replay.md', 'ros_interface.md',
           'node.md', 'diagnosis.md'}
 """Pages of reference, whose commands take minutes or name files of yours: they are parsed."""
 LONG = {'temperature.md', 'changes.md', 'export.md', 'efforts.md', 'json.md', 'plot.md', 'save_and_load.md',
@@ -181,7 +181,7 @@ def sentences_of(page):
 
 def test_the_tables_of_the_benchmarks_are_those_of_their_files():
     render = runpy.run_path(str(REPOSITORY / 'docs/figures/render.py'))
-    page = (REPOSITORY / 'docs/benchmarks.md').read_text(encoding='utf-8')
+    page = ''.join(path.read_text(encoding='utf-8') for path in render['PAGES'])
     assert render['with_tables'](page) == page, 'run python docs/figures/render.py'
     named = re.findall(r'<!-- table (\w+): begin', page)
     files = {path.stem for path in (REPOSITORY / 'docs/figures').glob('*.json')}

@@ -1,4 +1,4 @@
-"""The tables and pictures of docs/benchmarks.md, from the JSON files beside this script.
+"""The tables and pictures of docs/benchmarks.md and docs/measurements.md, from the JSON files beside this script.
 
     python docs/figures/render.py
 
@@ -18,7 +18,7 @@ from statistics import median
 from typing import Any, NamedTuple
 
 FOLDER = Path(__file__).resolve().parent
-PAGE = FOLDER.parent / 'benchmarks.md'
+PAGES = [FOLDER.parent / 'benchmarks.md', FOLDER.parent / 'measurements.md']
 LEARNING, FROZEN, EARLY, PLAIN = '#2f6fd0', '#1a9a6c', '#a9d8c5', '#dd8a00'
 Document = dict[str, Any]
 
@@ -52,6 +52,26 @@ def variants(found: Document) -> Table:
          percent(runs["SPK-ML"]["learning"]["band"], 1)) for pair, runs in _by_pair(found).items()])
 
 
+def exact(found: Document) -> Table:
+    """The same in short: simulated arms in one row."""
+    chosen = ('P', 'SPK-ML', 'auto')
+
+    def cells(several: Sequence[dict[str, Document]]) -> Sequence[str]:
+        errors = (median(runs[name]['learning']['nmse'] for runs in several) for name in chosen)
+        bands = median(runs['SPK-ML']['learning']['band'] for runs in several)
+        return *(f'{error:.4f}' for error in errors), percent(bands, 1)
+
+    return Table(('Recording', 'Rigid body (P)', 'Default (SPK-ML)', '`auto`', '95 % bands hold (default)'),
+                 _in_short(_by_pair(found), cells))
+
+
+def _in_short(pairs: dict[str, Any], cells: Callable[[Sequence[Any]], Sequence[str]]) -> list[Sequence[str]]:
+    """Rows of pairs, and one of what simulated arms have: their medians."""
+    simulated = [runs for name, runs in pairs.items() if '(simulated)' in name]
+    rows: list[Sequence[str]] = [(name, *cells([runs])) for name, runs in pairs.items() if '(simulated)' not in name]
+    return [*rows, (f'{len(simulated)} simulated arms, medians', *cells(simulated))]
+
+
 def frozen_variants(found: Document) -> Table:
     """Error on the second recording without learning it."""
     chosen = ('P', 'SP-ML', 'SP2-ML', 'SPK-ML', 'auto')
@@ -79,6 +99,19 @@ def other_motion(found: Document) -> Table:
                      percent(ahead['valid']) if ahead else 'all cut'))
     return Table(('A to B', 'By hand', 'Frozen after 10 s', 'Frozen', 'Over by hand', 'Bands hold',
                   'Learning B', 'States valid'), rows)
+
+
+def elsewhere(found: Document) -> Table:
+    """The same in short: simulated arms in one row."""
+    def cells(several: Sequence[tuple[Document, Document]]) -> Sequence[str]:
+        each = [(whole['plain'], early['frozen']['nmse'], whole['frozen']['nmse'],
+                 whole['frozen']['nmse'] / whole['plain']) for early, whole in several]
+        plain, early, frozen, ratio = map(median, zip(*each, strict=True))
+        bands = median(whole['frozen']['band'] for _, whole in several)
+        return f'{plain:.4f}', f'{early:.4f}', f'{frozen:.4f}', f'{ratio:.2f}', percent(bands, 1)
+
+    return Table(('A to B', 'By hand', 'After 10 s of A', 'After all of A', 'Over by hand', '95 % bands hold'),
+                 _in_short(_by_seconds(found), cells))
 
 
 def _by_seconds(found: Document) -> dict[str, tuple[Document, Document]]:
@@ -134,6 +167,13 @@ def measured_arms(found: Document) -> Table:
     return Table(('Recording', 'Before', 'After', 'By hand', 'After, over by hand', 'Found'), [
         (run['case'], f'{run["before"]:.4f}', f'{run["after"]:.4f}', f'{run["plain"]:.4f}',
          f'{run["after"] / run["plain"]:.2f}', _kinds(run['found'])) for run in found['runs']])
+
+
+def found(measured: Document) -> Table:
+    """The same in short: recordings that are judged on others."""
+    return Table(('Recording', 'Before', 'After', 'By hand'), [
+        (run['case'], *(f'{run[name]:.4f}' for name in ('before', 'after', 'plain')))
+        for run in measured['runs'] if 'blocks' not in run['case']])
 
 
 def _kinds(found: Sequence[str]) -> str:
@@ -214,6 +254,15 @@ def changes(found: Document) -> Table:
                   'Back', 'After [s]', 'False', 'Taken back'), rows)
 
 
+def noticed(found: Document) -> Table:
+    """The same in short: all robots in one row."""
+    runs = [{**run, 'robot': 'all'} for run in found['runs']]
+    *names, = changes({'runs': runs}).columns
+    chosen = [names.index(name) for name in ('Change', 'Noticed', 'Told after [s]', 'Named', 'Back', 'False')]
+    return Table([names[index] for index in chosen],
+                 [[row[index] for index in chosen] for row in changes({'runs': runs}).rows])
+
+
 def carried_load(found: Document) -> Table:
     """Tracking errors while a load comes and goes: medians over the seeds."""
     rows = []
@@ -235,6 +284,8 @@ def carried_load(found: Document) -> Table:
 
 
 MADE: dict[str, tuple[str, Callable[[Document], Table]]] = {
+    'exact': ('variants', exact), 'elsewhere': ('other_motion', elsewhere), 'found': ('measured_arms', found),
+    'noticed': ('ordinary_work', noticed),
     'variants': ('variants', variants), 'frozen_variants': ('variants', frozen_variants),
     'mujoco_arms': ('mujoco_arms', measured_arms), 'ordinary_work': ('ordinary_work', changes),
     'other_changes': ('other_changes', changes), 'measured_loads': ('measured_loads', changes),
@@ -298,8 +349,9 @@ def draw_other_motion(picture: Path) -> None:
 
 
 def main() -> None:
-    """Write the tables into the page, and the picture."""
-    PAGE.write_text(with_tables(PAGE.read_text(encoding='utf-8')), encoding='utf-8')
+    """Write the tables into the pages, and the picture."""
+    for page in PAGES:
+        page.write_text(with_tables(page.read_text(encoding='utf-8')), encoding='utf-8')
     draw_other_motion(FOLDER.parent / 'images' / 'other_motion.png')
 
 
