@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import fcntl
 import os
 import threading
 from contextlib import suppress
 from pathlib import Path
 
+from semiparam_ros.atomic_write import has_lock
 from semiparam_ros.errors import SemiparamError
 
 
@@ -78,18 +78,14 @@ class FolderLock:
                                  'write there, so this one writes nothing; expected a file that this user may read.'
                                  ) from error
 
-    def _locked(self, opened: int) -> int | None:
-        """Return a descriptor that has the lock of an open file; None where there are no locks."""
+    def _locked(self, opened: int) -> int:
+        """Return a descriptor that has the lock of an open file."""
         descriptor = os.open(f'/proc/self/fd/{opened}', os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
+        if not has_lock(descriptor):
             os.close(descriptor)
-            if not isinstance(error, BlockingIOError):
-                return None
             raise SemiparamError(f'process {_owner(opened)}, another node of the name {self._node_name}, has its '
                                  f'states in {self._folder} too, so this one writes none there; expected another '
-                                 'name or another state_folder.') from None
+                                 'name or another state_folder.')
         with suppress(OSError):
             os.ftruncate(opened, 0)
             os.pwrite(opened, f'{os.getpid()}\n'.encode(), 0)
