@@ -15,7 +15,7 @@ from semiparam_ros.core.robot.rigid_body import RigidBody
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.online import state_file
 from semiparam_ros.online.file_thread import FileThread
-from semiparam_ros.online.folder_lock import FolderLock, stem
+from semiparam_ros.online.folder_lock import AnotherHasIt, FolderLock, stem
 from semiparam_ros.online.state_file import SavedState, Snapshot
 from semiparam_ros.settings.snapshot import Settings
 
@@ -106,7 +106,7 @@ class Checkpoints:
     def _write(self, state: Snapshot) -> None:
         try:
             self.lock.take()
-        except SemiparamError:
+        except AnotherHasIt:
             self._was_locked = True
             raise
         for path in (self.path, self.previous):

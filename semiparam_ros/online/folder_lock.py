@@ -11,6 +11,10 @@ from semiparam_ros.atomic_write import has_lock
 from semiparam_ros.errors import SemiparamError
 
 
+class AnotherHasIt(SemiparamError):
+    """Another process has the lock of a folder."""
+
+
 class FolderLock:
     """The right to write a node's states, which ends with the process, however that ends.
 
@@ -27,10 +31,10 @@ class FolderLock:
         self._turn = threading.Lock()
 
     def take(self) -> None:
-        """Take it, or have it; anew where its file has gone. Raises SemiparamError while another process has it.
+        """Take it, or have it; anew where its file has gone. Raises :class:`AnotherHasIt` while another process has it.
 
         Where no lock can be made (no folder, a file system without locks) nothing is said: writing tells what is wrong.
-        A lock that is there and cannot be opened is an error: another node may have it.
+        A lock that is there and cannot be opened is a SemiparamError: another node may have it.
         """
         with self._turn:  # the node's own thread may ask for it, and that of checkpoints
             self._take()
@@ -83,9 +87,9 @@ class FolderLock:
         descriptor = os.open(f'/proc/self/fd/{opened}', os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
         if not has_lock(descriptor):
             os.close(descriptor)
-            raise SemiparamError(f'process {_owner(opened)}, another node of the name {self._node_name}, has its '
-                                 f'states in {self._folder} too, so this one writes none there; expected another '
-                                 'name or another state_folder.')
+            raise AnotherHasIt(f'process {_owner(opened)}, another node of the name {self._node_name}, has its '
+                               f'states in {self._folder} too, so this one writes none there; expected another '
+                               'name or another state_folder.')
         with suppress(OSError):
             os.ftruncate(opened, 0)
             os.pwrite(opened, f'{os.getpid()}\n'.encode(), 0)

@@ -394,6 +394,20 @@ def test_good_checkpoints_stay_where_the_process_can_open_no_file(tmp_path):
     assert len(checkpoints.news) == 1 and 'is no saved state that can be read. It is moved to' in checkpoints.news[0]
 
 
+def test_a_lock_that_cannot_be_opened_for_a_while_is_no_other_nodes(tmp_path):
+    """The checkpoint of the life before was moved aside as that of another node."""
+    state = stage_of(SETTINGS, motion(70)).learner.state()
+    before = Checkpoints(tmp_path, 'estimator')
+    before.save(state)
+    before.lock.release()
+    checkpoints = Checkpoints(tmp_path, 'estimator')
+    assert checkpoints.newest(SETTINGS, BODY) is not None
+    with no_file_can_be_opened(), pytest.raises(SemiparamError, match=r'estimator\.lock cannot be opened \(Too many'):
+        checkpoints.save(state)
+    checkpoints.save(state)
+    assert not checkpoints.news and checkpoints.previous.exists()
+
+
 def test_a_checkpoint_is_written_in_a_thread_as_the_state_was(tmp_path):
     checkpoints, stage, done = Checkpoints(tmp_path, 'estimator'), stage_of(SETTINGS, motion(100)), []
     expected = pickle.dumps(state_file.snapshot(stage.learner.state()).arrays())
@@ -661,7 +675,7 @@ def test_whatever_has_the_name_of_a_lock_is_one_or_is_an_error(tmp_path, make):
             with pytest.raises(SemiparamError, match='another node of the name arm'):
                 second.take()
         first.release()
-        shutil.rmtree(folder / 'arm.lock') if (folder / 'arm.lock').is_dir() else (folder / 'arm.lock').unlink()
+        (folder / 'arm.lock').rename(folder / 'away')
         (folder / 'arm.lock').symlink_to(tmp_path / 'elsewhere')
         with pytest.raises(SemiparamError, match=r'arm\.lock cannot be opened .* expected a file that this user may'):
             first.take()
