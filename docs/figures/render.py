@@ -52,8 +52,8 @@ def variants(found: Document) -> Table:
          percent(runs["SPK-ML"]["learning"]["band"], 1)) for pair, runs in _by_pair(found).items()])
 
 
-def exact(found: Document) -> Table:
-    """The same in short: simulated arms in one row."""
+def variants_in_short(found: Document) -> Table:
+    """Those of fewer variants, with simulated arms in one row."""
     chosen = ('P', 'SPK-ML', 'auto')
 
     def cells(several: Sequence[dict[str, Document]]) -> Sequence[str]:
@@ -101,8 +101,8 @@ def other_motion(found: Document) -> Table:
                   'Learning B', 'States valid'), rows)
 
 
-def elsewhere(found: Document) -> Table:
-    """The same in short: simulated arms in one row."""
+def other_motion_in_short(found: Document) -> Table:
+    """Fewer columns, with simulated arms in one row."""
     def cells(several: Sequence[tuple[Document, Document]]) -> Sequence[str]:
         each = [(whole['plain'], early['frozen']['nmse'], whole['frozen']['nmse'],
                  whole['frozen']['nmse'] / whole['plain']) for early, whole in several]
@@ -169,11 +169,11 @@ def measured_arms(found: Document) -> Table:
          f'{run["after"] / run["plain"]:.2f}', _kinds(run['found'])) for run in found['runs']])
 
 
-def found(measured: Document) -> Table:
-    """The same in short: recordings that are judged on others."""
+def measured_arms_in_short(found: Document) -> Table:
+    """Those that are judged on another recording, or another part of it."""
     return Table(('Recording', 'Before', 'After', 'By hand'), [
         (run['case'], *(f'{run[name]:.4f}' for name in ('before', 'after', 'plain')))
-        for run in measured['runs'] if 'blocks' not in run['case']])
+        for run in found['runs'] if 'blocks' not in run['case']])
 
 
 def _kinds(found: Sequence[str]) -> str:
@@ -254,13 +254,11 @@ def changes(found: Document) -> Table:
                   'Back', 'After [s]', 'False', 'Taken back'), rows)
 
 
-def noticed(found: Document) -> Table:
-    """The same in short: all robots in one row."""
-    runs = [{**run, 'robot': 'all'} for run in found['runs']]
-    *names, = changes({'runs': runs}).columns
-    chosen = [names.index(name) for name in ('Change', 'Noticed', 'Told after [s]', 'Named', 'Back', 'False')]
-    return Table([names[index] for index in chosen],
-                 [[row[index] for index in chosen] for row in changes({'runs': runs}).rows])
+def ordinary_work_in_short(found: Document) -> Table:
+    """Changes of all robots in one row each."""
+    whole = changes({'runs': [{**run, 'robot': 'all'} for run in found['runs']]})
+    kept = [whole.columns.index(name) for name in ('Change', 'Noticed', 'Told after [s]', 'Named', 'Back', 'False')]
+    return Table([whole.columns[place] for place in kept], [[row[place] for place in kept] for row in whole.rows])
 
 
 def carried_load(found: Document) -> Table:
@@ -284,8 +282,9 @@ def carried_load(found: Document) -> Table:
 
 
 MADE: dict[str, tuple[str, Callable[[Document], Table]]] = {
-    'exact': ('variants', exact), 'elsewhere': ('other_motion', elsewhere), 'found': ('measured_arms', found),
-    'noticed': ('ordinary_work', noticed),
+    **{f'{name}_in_short': (name, make) for name, make in (
+        ('variants', variants_in_short), ('other_motion', other_motion_in_short),
+        ('measured_arms', measured_arms_in_short), ('ordinary_work', ordinary_work_in_short))},
     'variants': ('variants', variants), 'frozen_variants': ('variants', frozen_variants),
     'mujoco_arms': ('mujoco_arms', measured_arms), 'ordinary_work': ('ordinary_work', changes),
     'other_changes': ('other_changes', changes), 'measured_loads': ('measured_loads', changes),
