@@ -42,12 +42,15 @@ def array_lines(path: Path, asked: Iterable[str] = ()) -> Cells:
 
 
 def raise_unmatched(path: Path, column: str, asked: Iterable[str]) -> None:
-    """Raise SemiparamError where a column is of an array that is left out because its rows do not match the others'."""
+    """Raise SemiparamError where a column is of an array that is left out: it holds no numbers, or as many rows as no
+    other."""
     arrays = _arrays(path)
     columns = _columns(arrays, repr(str(path)), asked)
     count = len(next(iter(columns.values())))
     for name in (column, column.rpartition(':')[0]):
         shape = np.shape(arrays[name]) if name in arrays else ()
+        if name in arrays and not _is_numeric(arrays[name]):
+            raise SemiparamError(f"{str(path)!r}: '{name}' holds no numbers; expected an array of them.")
         if shape and count not in shape:
             raise SemiparamError(f"{str(path)!r}: '{name}' has {' x '.join(map(str, shape))} values, where the others "
                                  f'have {count} samples; expected as many samples in each.')
@@ -114,10 +117,14 @@ def _fields(values: Mapping[str, Any], within: str = '') -> Iterator[tuple[str, 
             yield within + name, value
 
 
+def _is_numeric(values: Any) -> bool:
+    return isinstance(values, np.ndarray) and values.dtype.kind in 'iuf'
+
+
 def _columns(arrays: Mapping[str, Any], where: str, asked: Iterable[str]) -> dict[str, np.ndarray[Any, Any]]:
     """Columns (N,) by name. Samples run along the longer side that most arrays share, of those that are asked for."""
     numeric = {name: np.atleast_1d(np.squeeze(values)) for name, values in arrays.items()
-               if isinstance(values, np.ndarray) and values.dtype.kind in 'iuf'}
+               if _is_numeric(values)}
     numeric = {name: values.astype(float) if values.dtype.itemsize > 8 else values for name, values in numeric.items()
                if values.ndim <= 2 and values.size > 1}
     wanted = {name for column in asked for name in (column, column.rpartition(':')[0])} & numeric.keys()

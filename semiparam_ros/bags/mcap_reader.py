@@ -73,6 +73,8 @@ class McapBag(BagReader):
         """The messages of a segment; none, and an entry in the account, when it is damaged."""
         definitions = self._index.definitions
         try:
+            if os.fstat(self._file.fileno()).st_size < segment.end:  # to read beyond would end the process by SIGBUS
+                raise Damage('the file has become shorter while it was read')
             if segment.chunk is None:
                 found = mcap_format.entries(self._buffer, definitions, segment.offset, segment.end)
             else:

@@ -149,8 +149,10 @@ def _one_each(option: str, values: list[float], count: int, default: float | Non
 
 
 def _text(path: Path) -> str:
+    from semiparam_ros.settings.text_file import read_text
+
     try:
-        return path.read_text(encoding='utf-8')
+        return read_text(path)
     except (OSError, UnicodeDecodeError) as error:
         raise SemiparamError(f'the URDF {path} cannot be read: {getattr(error, "strerror", None) or error}.') from error
 
@@ -198,8 +200,14 @@ def truth_of(recording: SimulatedRecording) -> dict[str, Any]:
 
 
 def _report(path: Path, recording: SimulatedRecording) -> None:
+    from semiparam_ros.core.robot.urdf import parse, unfollowed_joints
+
     output.print(f'{path}: {len(recording.stamps)} samples of {", ".join(recording.joint_names)}; '
                  f'outputs {recording.outputs_kind}.', soft_wrap=True)
+    loose = unfollowed_joints(parse(recording.urdf))
+    if loose:
+        output.print(f'  Held at zero, as no joint state follows what is floating or planar: {", ".join(loose)}.',
+                     soft_wrap=True)
     for effect in (*recording.truth, *recording.baseline_truth):
         where = f' at {effect["where"]}' if effect['where'] else ''
         start = '' if effect['start_s'] is None else f' from {effect["start_s"]:.1f} s on'

@@ -10,6 +10,7 @@ from pathlib import Path
 from semiparam_ros.core.robot import urdf as urdf_tree
 from semiparam_ros.errors import SemiparamError
 from semiparam_ros.settings.parameter_table import Table
+from semiparam_ros.settings.text_file import read_text
 
 PACKAGE_URI = 'package://'
 SOURCE_TREE = Path(__file__).resolve().parents[2]
@@ -23,7 +24,7 @@ def robot_description(settings: Table, given: str | None = None) -> str:
     if settings.robot_description_file:
         path = resolved(settings.robot_description_file)
         try:
-            return path.read_text(encoding='utf-8')
+            return read_text(path)
         except (OSError, ValueError) as error:  # of no UTF-8, or of a null character in the name
             reason = 'not UTF-8 text' if isinstance(error, UnicodeDecodeError) else \
                 getattr(error, 'strerror', None) or error

@@ -10,6 +10,7 @@ from yaml.constructor import ConstructorError
 from yaml.reader import ReaderError
 
 from semiparam_ros.errors import SemiparamError
+from semiparam_ros.settings.text_file import read_text
 
 _MERGE = 'tag:yaml.org,2002:merge'
 _OF_MAPPINGS = (_MERGE, 'tag:yaml.org,2002:value')
@@ -19,7 +20,7 @@ _OF_MAPPINGS = (_MERGE, 'tag:yaml.org,2002:value')
 def read_yaml(path: Path, what: str, loader: type[yaml.SafeLoader] = yaml.SafeLoader) -> Any:
     """The document of a file; one that cannot be read raises SemiparamError with ``what`` it is and the line."""
     try:
-        return document(path.read_text(encoding='utf-8'), loader)
+        return document(read_text(path), loader)
     except OSError as error:
         raise SemiparamError(f'cannot read {what} {path}: {error.strerror}.') from error
     except RecursionError as error:

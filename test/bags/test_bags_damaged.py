@@ -331,3 +331,20 @@ def test_zeros_are_no_records(tmp_path):
     path.write_bytes(packed(bytes(9 * 1000), 'zstd', 9 * 1000))
     with pytest.raises(SemiparamError, match='no record can begin here'):
         open_bag(path)
+
+
+def test_a_file_that_is_cut_while_it_is_read_loses_what_was_cut(intact, tmp_path):
+    path = tmp_path / 'cut.mcap'
+    path.write_bytes(intact['none'])
+    program = ('import os, sys\n'
+               'from semiparam_ros.bags.reader import open_bag\n'
+               'with open_bag(sys.argv[1]) as bag:\n'
+               '    messages = bag.messages(decode=False)\n'
+               '    next(messages)\n'
+               '    os.truncate(sys.argv[1], 100_000)\n'
+               '    count = 1 + sum(1 for _ in messages)\n'
+               '    print(count, bag.losses.reasons)\n')
+    done = subprocess.run([sys.executable, '-c', program, path], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, (done.returncode, done.stderr)
+    count, reasons = done.stdout.split(' ', 1)
+    assert 0 < int(count) < INTACT and 'the file has become shorter while it was read' in reasons

@@ -348,6 +348,15 @@ def test_ranges_of_an_array_and_rows_that_do_not_match(form, tmp_path, capsys):
             '--position', f'{within}q', '--effort', within + columns)
 
 
+@pytest.mark.parametrize('form', ['npz', 'mat'])
+def test_an_array_without_numbers_is_no_missing_column(form, tmp_path, capsys):
+    within = 'log.' if form == 'mat' else ''
+    path = saved_arrays(tmp_path, quantities() | {'names': np.array(['hip', 'knee'] * 25)}, form)
+    assert f"'{within}names' holds no numbers; expected an array of them." in refusal(
+        capsys, 'convert', path, tmp_path / 'out.mcap', '--joints', 'hip,knee', '--time', f'{within}t',
+        '--position', f'{within}q', '--effort', f'{within}names')
+
+
 def test_arrays_that_nobody_asked_for_do_not_tell_where_samples_run(tmp_path):
     """Limits of the joints outvoted them: two rows were written, one of each joint, whose columns were the samples."""
     limits = {name: np.array([1.0, 2.0]) for name in ('q_min', 'q_max', 'dq_max', 'current_max')}

@@ -91,6 +91,15 @@ def test_a_sliding_joint_moves_when_it_is_named_as_the_help_says():
     assert 'default: all that turn' in ' '.join(parser.format_help().split())
 
 
+def test_joints_that_no_joint_state_follows_are_named(tmp_path, capsys):
+    arm = tmp_path / 'arm.urdf'
+    arm.write_text(ODD_ARM.replace('<robot name="odd">', '<robot name="odd"><link name="cart"/><joint name="wheels" '
+                                   'type="planar"><parent link="cart"/><child link="base"/></joint>'))
+    assert main(['simulate', str(tmp_path / 'out.mcap'), '--urdf', str(arm), '--outputs', 'effort', '--samples', '100',
+                 '--joints', *ODD_JOINTS]) == 0
+    assert 'Held at zero, as no joint state follows what is floating or planar: wheels.' in capsys.readouterr().out
+
+
 def test_parameters_of_the_bundled_arm(repository):
     settings = load_params(repository / 'config' / 'icub_right_arm.yaml')
     assert settings.sensor_frame == 'r_arm_ft_sensor'

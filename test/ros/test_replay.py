@@ -161,6 +161,17 @@ def test_paced_playback_offers_what_the_bag_recorded_and_the_overrides_change_it
     assert offer['/wrench'].reliability.name == 'BEST_EFFORT' and offer['/wrench'].durability.name == 'VOLATILE'
     assert offer['/joint_states'].durability.name == 'TRANSIENT_LOCAL'
     assert tool.said('/peer receives nothing on /wrench'), tool.output
+
+
+def test_who_subscribes_with_another_type_is_told(tmp_path):
+    bag = write_robot(tmp_path / 'a.mcap', 60)
+    with Peer() as peer:
+        peer.listen('/wrench', STATES, 10)
+        peer.listen('/joint_states', STATES, 10)
+        with Tool(tmp_path, 'replay', bag, '--rate', 2, '--wait-for-subscribers') as tool:
+            assert tool.wait() == 0, tool.output
+    assert tool.said('/peer receives nothing on /wrench: it is published as geometry_msgs/msg/WrenchStamped, and '
+                     'subscribed to as sensor_msgs/msg/JointState.'), tool.output
     assert len(peer.heard['/wrench']) == 0
     assert len(peer.heard['/joint_states']) == 60
 

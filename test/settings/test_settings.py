@@ -19,6 +19,7 @@ from semiparam_ros.settings.build import build_estimator, given_hyperparameters,
 from semiparam_ros.settings.files import located, params_text, read_params
 from semiparam_ros.settings.last_word import last_words
 from semiparam_ros.settings.parameter_table import BY_NAME, Parameter
+from semiparam_ros.settings.robot_description import robot_description
 from semiparam_ros.settings.rules import RULES, broken_rule
 from semiparam_ros.settings.snapshot import refusal
 from support.node_helpers import URDF
@@ -111,6 +112,13 @@ def test_bad_files_get_one_sentence(tmp_path, text, sentence):
 def test_a_missing_file_is_named(tmp_path):
     with pytest.raises(SemiparamError, match=r'cannot read the parameter file .*none.yaml: No such file'):
         load_params(tmp_path / 'none.yaml')
+
+
+def test_a_file_without_end_is_refused():
+    with pytest.raises(SemiparamError, match='cannot read the parameter file /dev/zero: it has more than 16777216'):
+        load_params('/dev/zero')
+    with pytest.raises(SemiparamError, match='cannot read /dev/zero: it has more than 16777216 characters'):
+        robot_description(Settings(robot_description_file='/dev/zero'))
 
 
 def test_sections_apply_in_order_and_wildcards_may_hold_foreign_names(tmp_path):

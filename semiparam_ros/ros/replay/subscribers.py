@@ -20,7 +20,7 @@ NAMED_S = 3.0
 
 
 class Subscriber(NamedTuple):
-    """One subscription of another node: who, and whether its quality of service can be met."""
+    """One subscription of another node: who, and why it receives nothing, '' where it does."""
 
     owner: str
     topic: str
@@ -36,6 +36,8 @@ def subscribers(node: ReplayNode) -> list[Subscriber]:
         for info in node.get_subscriptions_info_by_topic(output.topic_name):
             verdict, reason = qos_check_compatible(offered, info.qos_profile)
             mismatch = reason if verdict == QoSCompatibility.ERROR else ''
+            if info.topic_type != node.types[topic]:
+                mismatch = f'it is published as {node.types[topic]}, and subscribed to as {info.topic_type}'
             found.append(Subscriber(owner(info), topic, info.qos_profile.reliability.name == 'RELIABLE', mismatch))
     return found
 
