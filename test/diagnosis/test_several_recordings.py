@@ -142,7 +142,9 @@ def test_another_offset_on_the_recording_that_judges_is_said_to_be_one():
     moved = replace(two, outputs=two.outputs + 3.0 * two.outputs.std(axis=0) * np.eye(6)[1])
     found = diagnose(body, one, other=('tared anew', moved), only=['viscous_drag'])
     assert found.shifted_outputs == list(found.unexplained_outputs) == ['fy']
-    assert any('The offset of its sensor is another one there' in line for line in text_report(found))
+    text = text_report(found)
+    assert any('The offset of its sensor is another one there' in line for line in text)
+    assert found.verdict == 'nothing_missing' and not any('Nothing is missing' in line for line in text)
 
 
 def test_the_page_shows_recordings_hours_apart():
