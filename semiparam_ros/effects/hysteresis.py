@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import NamedTuple, cast
 
 import numpy as np
@@ -43,7 +42,7 @@ def bouc_wen_state(travel: Array, slip: float, unloading: float, memory: Memory)
 
 def bristle(way: Way, slip: float, memory: Memory) -> tuple[Array, Memory]:
     """States (N,) in [-1, 1] of a Dahl bristle along a way, which may turn back within a step."""
-    states, memory = _bent(way, lambda aims, speeds: (aims[:, None], slip), memory)
+    states, memory = _along(way, 1, (slip, slip, 1.0), memory)
     return states[:, 0], memory
 
 
@@ -55,22 +54,14 @@ def sticking_bristle(way: Way, slip: float, stuck: float, stribeck_speed: float,
     stiff at every level bends the further the higher that is (LuGre; Canudas de Wit et al. 1995,
     IEEE TAC 40).
     """
-    def levels(aims: Array, speeds: Array) -> tuple[Array, Array]:
-        fading = np.exp(-(speeds / stribeck_speed) ** 2)
-        slips = np.maximum(slip + (stuck - slip) * fading, LEAST_SLIP)  # rounding leaves nothing of a tiny one
-        return np.column_stack([aims, aims * fading]), slips
-    return _bent(way, levels, memory)
+    return _along(way, 2, (slip, stuck, stribeck_speed), memory)
 
 
-def _bent(way: Way, levels: Callable[[Array, Array], tuple[Array, Array | float]],
-          memory: Memory) -> tuple[Array, Memory]:
-    """States (N, k) along a way that decay towards levels (N PARTS, k) of its direction and speed.
-    """
+def _along(way: Way, count: int, bending: tuple[float, float, float], memory: Memory) -> tuple[Array, Memory]:
+    """States (N, ``count``) along a way, and the memory after; see :func:`_bent`."""
     state, past = cast('tuple[Array | None, Memory]', memory) if memory is not None else (None, None)
-    travel, speeds, past = way.followed(past)
-    aims, slips = levels(np.sign(travel), speeds)
-    states = _towards(aims, np.exp(-np.abs(travel) / slips), np.zeros(aims.shape[1]) if state is None else state)
-    return states[PARTS - 1::PARTS].copy(), (states[-1].copy(), past)
+    states = _bent(*way.from_(past), *bending, np.zeros(count) if state is None else np.array(state, dtype=float))
+    return states, (states[-1].copy(), way.last)
 
 
 def play_place(way: Way, gap: float, memory: Memory) -> tuple[Array, Memory]:
@@ -96,9 +87,17 @@ class Way(NamedTuple):
         changes its sign the joint went on and came back: dry friction turns over there, not where the net travel ends.
         Where positions and velocities disagree, the travel is even.
         """
+        return *_followed(*self.from_(past)), self.last
+
+    def from_(self, past: Memory) -> tuple[Stamps, Array, Array, int, float, float]:
+        """Arguments of :func:`_followed`: the way, and the sample before it; where there is none, its first one."""
         begin = cast('tuple[int, float, float]', past) if past is not None else self._sample(0)
-        stamps, position, velocity = np.array(self.stamps), np.array(self.position), np.array(self.velocity)
-        return *_followed(stamps, position, velocity, *begin), self._sample(-1)
+        return np.array(self.stamps), np.array(self.position), np.array(self.velocity), *begin
+
+    @property
+    def last(self) -> Memory:
+        """Stamp, position and velocity of the last sample."""
+        return self._sample(-1)
 
     def without_noise_at_rest(self, time: Array) -> Way:
         """The way on which, in each rest, the joint goes only as far as positions leave the range of their noise.
@@ -156,20 +155,39 @@ def _followed(stamps: Integers, position: Vector, velocity: Vector, stamp: int, 
     return travel, speeds
 
 
+@compiled
+def _bent(stamps: Integers, position: Vector, velocity: Vector, stamp: int, place: float, speed: float,
+          slip: float, stuck: float, stribeck_speed: float, state: Vector) -> Matrix:
+    """States (N, k) at the samples of a way, from a state (k,) before it, which each part of a step leads on towards
+    the direction of travel; the second one, where there is one, towards a level that fades with the speed."""
+    travel, speeds = _followed(stamps, position, velocity, stamp, place, speed)
+    states = np.empty((len(stamps), len(state)))
+    for part in range(len(travel)):
+        way = abs(travel[part])
+        aim = 1.0 if travel[part] > 0.0 else -1.0 if travel[part] < 0.0 else 0.0
+        if len(state) == 1:
+            state[0] = aim + (state[0] - aim) * np.exp(-way / slip)
+        else:
+            fading = np.exp(-(speeds[part] / stribeck_speed) ** 2)
+            # Rounding leaves nothing of a tiny one.
+            keep = np.exp(-way / max(slip + (stuck - slip) * fading, LEAST_SLIP))
+            state[0] = aim + (state[0] - aim) * keep
+            state[1] = aim * fading + (state[1] - aim * fading) * keep
+        if (part + 1) % PARTS == 0:
+            states[part // PARTS] = state
+    return states
+
+
 def _dahl(steps: Array, slip: float, state: Array) -> Array:
     """States (N, k) after each step (N, k) of travel."""
     length = np.linalg.norm(steps, axis=1)
     aims = np.divide(steps, length[:, None], out=np.zeros_like(steps), where=length[:, None] > 0.0)
-    return _towards(aims, np.exp(-length / slip), state)
-
-
-def _towards(aims: Array, keep: Array, state: Array) -> Array:
-    """States (M, k), each of which keeps a share (M,) of its difference to an aim (M, k)."""
-    return _follow_all(keep, np.ascontiguousarray(aims), np.array(state, dtype=float))
+    return _follow_all(np.exp(-length / slip), np.ascontiguousarray(aims), np.array(state, dtype=float))
 
 
 @compiled
 def _follow_all(keep: Vector, aims: Matrix, state: Vector) -> Matrix:
+    """States (M, k), each of which keeps a share (M,) of its difference to an aim (M, k)."""
     states = np.empty(aims.shape)
     for row in range(len(keep)):
         for column in range(len(state)):
