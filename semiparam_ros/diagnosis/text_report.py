@@ -185,13 +185,12 @@ def _remark(diagnosis: Diagnosis, finding: Finding) -> list[str]:
             *([f'  Cannot be told for certain from {rivals}.'] if rivals else [])]
 
 
-def _values(finding: Finding, most: int = MOST_PARAMETERS) -> str:
-    """The first ``most`` of the parameters that stand out most from their uncertainty, in their own order."""
-    def weight(item: tuple[str, Quantity]) -> float:
-        std = item[1].std
-        return float('inf') if not std else abs(item[1].value) / std
-    chosen = sorted(finding.parameters.items(), key=weight, reverse=True)[:MOST_PARAMETERS]
-    shown = [item for item in finding.parameters.items() if item in chosen][:most]
+def _values(finding: Finding, most: int | None = None) -> str:
+    """What was searched, and the parameters that stand out most from their uncertainty; in their own order, the first
+    ``most``. A searched value has none to stand out from, so it takes the place of no other."""
+    known = {name: abs(each.value) / each.std for name, each in finding.parameters.items() if each.std}
+    left_out = sorted(known, key=lambda name: known[name], reverse=True)[MOST_PARAMETERS:]
+    shown = [item for item in finding.parameters.items() if item[0] not in left_out][:most]
     return ', '.join(f'{name} {quantity_text(quantity)}' for name, quantity in shown)
 
 

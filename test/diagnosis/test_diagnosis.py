@@ -364,6 +364,18 @@ def test_the_table_groups_by_joint_and_the_report_ends_with_what_to_do(payload, 
     assert next_step(sure).startswith('write the eff') and 'node with a.yaml' in next_step(sure, 'a.yaml')
 
 
+def test_a_searched_form_takes_the_place_of_no_value(friction):
+    """Of friction that differs between directions the forward dry one was told beside the backward viscous one, and
+    nothing else: how it turns over took two of four places."""
+    values = {'coulomb_forward': (1.036, 0.015), 'coulomb_backward': (0.57, 0.015), 'viscous_forward': (0.497, 0.013),
+              'viscous_backward': (0.488, 0.012), 'turn_speed': (0.016, None), 'lead_s': (0.006, None)}
+    found = replace(friction, findings=[replace(friction.findings[0], parameters={
+        name: Quantity(value, std, 'N m') for name, (value, std) in values.items()})])
+    assert all(name in text_report(found)[1] for name in values)
+    row, = table_rows(found)
+    assert row.values == 'coulomb_forward 1.036 +- 0.015 N m, coulomb_backward 0.570 +- 0.015 N m'
+
+
 def test_a_rival_that_explains_it_better_is_told_apart_from_a_toss_up(friction):
     """Odds of 370 were told as 0.9 are, and those of a worse one as "odds 0.077"."""
     first = friction.findings[0]
