@@ -49,8 +49,14 @@ def findings(fit: Fit, steps: list[Step], everything: Fit, told: Estimates) -> l
     """
     gains = worth(fit)
     return [Finding(everything.effects[index], number, gains[index].total,
-                    _parameters(everything, index, told), steps[number - 1].rivals)
+                    _parameters(everything, index, told), _still_rivals(everything.effects[index], steps[number - 1]))
             for index, number in places_in(fit, steps)]
+
+
+def _still_rivals(effect: Effect, step: Step) -> tuple[Rival, ...]:
+    """The rivals of the step that found an effect, without what that has become since: a load moves to another link."""
+    return tuple(rival for rival in step.rivals
+                 if (rival.effect.kind, rival.effect.where) != (effect.kind, effect.where))
 
 
 def places_in(fit: Fit, steps: list[Step]) -> list[tuple[int, int]]:

@@ -22,6 +22,7 @@ from semiparam_ros.diagnosis.data.outliers import working_factor
 from semiparam_ros.diagnosis.data.splits import correlation_times, interleaved_split, leading_split, ranges
 from semiparam_ros.diagnosis.diagnose import VERDICTS, diagnose
 from semiparam_ros.diagnosis.evaluation import evaluate_here, evaluate_there
+from semiparam_ros.diagnosis.findings import findings
 from semiparam_ros.diagnosis.named_change import Quantity
 from semiparam_ros.diagnosis.regression import fit_model
 from semiparam_ros.diagnosis.residual.formula import _pursuit
@@ -374,6 +375,17 @@ def test_a_searched_form_takes_the_place_of_no_value(friction):
     assert all(name in text_report(found)[1] for name in values)
     row, = table_rows(found)
     assert row.values == 'coulomb_forward 1.036 +- 0.015 N m, coulomb_backward 0.570 +- 0.015 N m'
+
+
+def test_a_load_that_moved_to_another_link_is_no_rival_of_itself(payload):
+    """Found at the link before and told at the flange, it could not be told from "payload at flange (6.1 times more
+    likely)"."""
+    effect = payload.findings[0].effect
+    force = Rival(kinds()['external_force'](effect.where), 0.01)
+    steps = [replace(step, added=tuple(replace(each, where='another') for each in step.added),
+                     rivals=(Rival(effect, 6.1), force)) for step in payload.steps]
+    found = findings(payload.final, steps, payload.everything, payload.estimates)
+    assert [(each.effect, each.rivals) for each in found] == [(effect, (force,))]
 
 
 def test_a_rival_that_explains_it_better_is_told_apart_from_a_toss_up(friction):
