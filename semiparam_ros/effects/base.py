@@ -140,6 +140,9 @@ class Effect(ColumnBlock):
     mistaken_for: ClassVar[tuple[str, ...]] = ()
     separated_by: ClassVar[str] = ''
     may_start: ClassVar[bool] = False
+    includes: ClassVar[tuple[str, ...]] = ()
+    """Kinds of which it does the same at its place besides, as friction that differs between directions holds an offset
+    while its joint slides."""
     must_start: ClassVar[bool] = False
     may_come: ClassVar[bool] = False
     """Mark of what may come while a robot works; in a whole recording no start of it is searched."""

@@ -292,6 +292,7 @@ class AsymmetricFriction(_Sliding):
     shows_against: ClassVar[Axis] = 'velocity'
     sentence: ClassVar[str] = "the joint's friction differs between its two directions"
     mistaken_for: ClassVar[tuple[str, ...]] = ('coulomb_friction', 'viscous_friction', 'effort_offset')
+    includes: ClassVar[tuple[str, ...]] = ('effort_offset',)
     separated_by: ClassVar[str] = 'equal motion in both directions'
     names: ClassVar[tuple[Coefficient, ...]] = (
         Coefficient('coulomb_forward', 'N m'), Coefficient('coulomb_backward', 'N m'),

@@ -53,7 +53,13 @@ def held(effects: Sequence[Effect]) -> set[tuple[str, str | None]]:
 def not_held_by(known: Sequence[Effect], effect: Effect) -> list[Effect]:
     """Effects of the known ones that hold nothing of what another one holds: it takes the place of the rest."""
     parts = held([effect])
-    return [each for each in known if not held([each]) & parts]
+    return [each for each in known if not held([each]) & parts and not includes([effect], each)]
+
+
+def includes(effects: Sequence[Effect], other: Effect) -> bool:
+    """Return whether one of these effects does the same as another at its place all the time."""
+    return any(other.kind in effect.includes and (other.where, other.span) == (effect.where, effect.span)
+               for effect in effects)
 
 
 def explained_by(fit: Fit, effect: Effect, columns: Array) -> Explained:

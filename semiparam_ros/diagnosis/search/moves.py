@@ -10,7 +10,7 @@ from typing import NamedTuple
 from semiparam_ros.diagnosis.data.recordings import breaks_s
 from semiparam_ros.diagnosis.named_change import Gain
 from semiparam_ros.diagnosis.regression import Fit, with_effects
-from semiparam_ros.diagnosis.search.candidates import added_columns, candidates, fixed, identity, others
+from semiparam_ros.diagnosis.search.candidates import added_columns, candidates, fixed, identity, includes, others
 from semiparam_ros.diagnosis.search.plausibility import (
     all_plausible,
     needed_errors,
@@ -72,7 +72,7 @@ def single_moves(fit: Fit, ranking: Sequence[Trial]) -> list[Move]:
     of_kind = {trial.effect.kind: trial for trial in reversed(ranking)}
     foremost = [trial.effect for number, trial in enumerate(ranking) if trial.evidence > 0.0
                 and (number < fit.config.tried or trial is of_kind[trial.effect.kind])]
-    return [move for effect in foremost for timed in _at_each_time(fit, effect)
+    return [move for effect in foremost for timed in _at_each_time(fit, effect) if not includes(fit.effects, timed)
             for move in _plausible_moves(fit, declare(fit, [timed]), [timed])]
 
 
@@ -134,7 +134,7 @@ def group_moves(fit: Fit, trials: Sequence[Trial]) -> list[Move]:
     """Kinds at all their places at once: what one joint lacks bends the rigid body's fit of the others."""
     groups: dict[str, list[Effect]] = {}
     for trial in trials:
-        if trial.effect.group:
+        if trial.effect.group and not includes(fit.effects, trial.effect.without_span()):
             groups.setdefault(trial.effect.group, []).append(trial.effect.without_span())
     known, moves = {identity(effect) for effect in fit.effects}, []
     order = list(fit.considered)
