@@ -134,7 +134,7 @@ class Checkpoints:
     def _move_others_aside(self, state: Snapshot) -> None:
         names = state_file.FIXED if self._went_on else (*state_file.ADOPTED, *state_file.FIXED)
         for path in (self.previous, self.path):
-            reason = self._refused.pop(path, '')
+            reason = self._refused.get(path, '')
             theirs = state_file.replaceable(path) if reason or self._first else None
             if theirs is not None:
                 reason = reason or theirs.difference(state.configuration, names)
@@ -142,6 +142,7 @@ class Checkpoints:
                     reason = 'was written by another node of this name, while this one ran.'
                 if reason:
                     self.news.append(state_file.move_aside(path, reason))
+            self._refused.pop(path, None)  # not before it is aside, which may fail
 
     def _make_previous(self) -> None:
         with suppress(FileNotFoundError):

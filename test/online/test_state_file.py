@@ -478,6 +478,23 @@ def test_a_state_of_another_configuration_is_moved_aside_and_found_again(tmp_pat
     assert sorted(kept) == [30, 30, 40, 40, 40, 40]
 
 
+def test_what_was_refused_is_moved_aside_also_after_that_failed_once(tmp_path, monkeypatch):
+    """The reason was forgotten with the first attempt, and the second one replaced the file."""
+    arrays, meta = held(motion(70))
+    checkpoints, stage = Checkpoints(tmp_path, 'arm'), stage_of(SETTINGS, motion(3))
+    write(checkpoints.path, {**arrays, 'history.outputs': np.full_like(arrays['history.outputs'], np.nan)}, meta)
+    refused = checkpoints.path.read_bytes()
+    assert checkpoints.newest(SETTINGS, BODY) is None and len(checkpoints.remarks) == 1
+    with monkeypatch.context() as patch:
+        patch.setattr(os, 'rename', lambda *_: (_ for _ in ()).throw(PermissionError(13, 'Permission denied')))
+        with pytest.raises(SemiparamError, match='Permission denied'):
+            checkpoints.save(stage.learner.state())
+    for _ in range(3):
+        checkpoints.save(stage.learner.state())
+    aside = [path for path in tmp_path.iterdir() if 'aside' in path.name]
+    assert [path.read_bytes() for path in aside] == [refused] and str(aside[0]) in checkpoints.news[0]
+
+
 def test_what_is_begun_anew_does_not_replace_another_variant(tmp_path):
     """A state brings its variant along, but a node that did not go on from it has its own."""
     before = Checkpoints(tmp_path, 'arm')
