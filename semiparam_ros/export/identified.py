@@ -374,7 +374,8 @@ def _coefficients(columns: CoupledColumns, index: int) -> list[str]:
 
 
 def _left_out(columns: CoupledColumns, theta: Array) -> dict[str, float]:
-    """Values of effects that are neither loads nor friction, and their calibrations."""
+    """Values of effects that are neither loads nor a joint's own in the files, and their calibrations: those of both
+    directions of friction too, of which the files hold the mean."""
     found: dict[str, float] = {}
     for index, effect in enumerate(columns.effects):
         kind, block = effect.kind, columns.blocks[str(index)]
@@ -382,7 +383,7 @@ def _left_out(columns: CoupledColumns, theta: Array) -> dict[str, float]:
         if effect.is_load:
             continue
         for name, value in zip(_coefficients(columns, index), theta[block].tolist(), strict=True):
-            if name not in DYNAMICS.get(kind, {}):
+            if DYNAMICS.get(kind, {}).get(name, ('', 0.0))[1] != 1.0:
                 found[f'{head}.{name}'] = value
         if isinstance(effect, Effect):
             found |= {f'{head}.{name}': effect.value(name) for name, _ in effect.calibrations}

@@ -142,6 +142,18 @@ def test_friction_beside_a_wrong_gain_is_the_joints_own(gain):
             0.2 * damping + friction, rel=0.05)
 
 
+def test_friction_of_either_direction_is_told_beside_its_mean():
+    """The mean was written, and nothing said that the directions differ."""
+    samples = recording(EFFORTS, seed=1, prepare=rubbing)
+    turning = np.tanh(samples.velocity[:, 3] / 0.02) > 0.0
+    one_way = replace(samples, outputs=samples.outputs + 0.2 * np.outer(turning, np.eye(4)[3]))
+    found, _ = exported(EFFORTS, one_way, ['asymmetric_friction@r_elbow{"turn_speed": 0.02}'])
+    head = 'asymmetric_friction@r_elbow'
+    told = [found.left_out[f'{head}.coulomb_{way}'] for way in ('forward', 'backward')]
+    assert dict(found.offsets)['r_elbow'] + (told[0] - told[1]) / 2.0 == pytest.approx(0.1, abs=0.02)  # one freedom
+    assert f'{head}.coulomb_forward {told[0]:.3g}' in lines(found)[-1]
+
+
 def test_every_body_can_be_and_pinocchio_reads_it(arm):
     assert all(is_consistent(values) for values in described_links(arm[1]).values())
     model = pin.buildModelFromXML(arm[1])
