@@ -94,9 +94,10 @@ def _verdict(diagnosis: Diagnosis) -> list[str]:
 
 def _opening(diagnosis: Diagnosis) -> str:
     if diagnosis.verdict == 'nothing_missing':
-        nothing = 'Nothing is missing: no effect that could be named explains the residual on blocks left out of the fit.'
-        left = 'No effect that could be named explains what is left.'
-        return (left if diagnosis.unexplained_outputs else nothing) + _description(diagnosis)
+        if diagnosis.unexplained_outputs:
+            return 'No effect that could be named explains what is left.' + _description(diagnosis)
+        return ('Nothing is missing: no effect that could be named explains the residual on blocks left out of the fit.'
+                + _description(diagnosis))
     if diagnosis.verdict == 'unexplained':
         beside = ' The effects below hold beside it.' * bool(diagnosis.findings)
         function = ' A smooth function of the motion and of time explains more of it than all that resemble it.'

@@ -51,9 +51,10 @@ class _Cable(AtPoint):
 
 
 class CableSpring(_Cable):
-    """A spring: at a link its force is affine in position, along a joint its wrench is linear in the angle.
+    """A spring: at a link its force is affine in position, along a joint its wrench is linear in the angle. In joint
+    efforts it is sought where it comes while the robot works, not in a whole recording.
 
-    Springs of joints explain much of that to an arm of joint efforts; there it is sought when it comes alone.
+    Springs of joints explain much of that to an arm of joint efforts.
     """
 
     kind: ClassVar[str] = 'cable_spring'
