@@ -187,7 +187,7 @@ def _remark(diagnosis: Diagnosis, finding: Finding) -> list[str]:
 
 
 def _values(finding: Finding, most: int | None = None) -> str:
-    """What was searched, and the parameters that stand out most from their uncertainty; in their own order, the first
+    """Searched values, and the parameters that stand out most from their uncertainty; in their own order, the first
     ``most``. A searched value has none to stand out from, so it takes the place of no other."""
     known = {name: abs(each.value) / each.std for name, each in finding.parameters.items() if each.std}
     left_out = sorted(known, key=lambda name: known[name], reverse=True)[MOST_PARAMETERS:]
