@@ -30,6 +30,7 @@ from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSHistoryPolicy, QoSProfile
 from rclpy.signals import SignalHandlerOptions
+from rclpy.task import Future
 from rclpy.utilities import try_shutdown
 from sensor_msgs.msg import JointState
 
@@ -262,18 +263,18 @@ def connected(messages: list[tuple[bytes, bytes]], rate_hz: float) -> Iterator[P
     rclpy.init(args=[], context=context, signal_handler_options=SignalHandlerOptions.NO)
     peer, executor = Peer(context, messages, rate_hz), EventsExecutor(context=context)
     executor.add_node(peer)
-    stop = threading.Event()
+    stop = Future()
 
     def spin() -> None:
-        while not stop.is_set():
-            spin_for(executor, 0.2)
+        while not stop.done():
+            spin_for(executor, 0.2, stop)
 
     thread = threading.Thread(target=spin, daemon=True)
     thread.start()
     try:
         yield peer
     finally:
-        stop.set()
+        stop.set_result(None)
         thread.join()
         executor.remove_node(peer)
         peer.destroy_node()

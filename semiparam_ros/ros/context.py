@@ -137,13 +137,16 @@ segmentation fault (rclpy 7.1.6). Messages, timers and clients may wait there.
 """
 
 
-def spin_for(executor: Executor, seconds: float) -> None:
-    """Handle whatever comes within so many seconds.
+def spin_for(executor: Executor, seconds: float, ended: Future) -> None:
+    """Handle whatever comes within so many seconds, or until ``ended`` is done, whatever waits then.
 
-    The EventsExecutor's spin() never sleeps without a timeout, and spin_once() returns after each message, which costs
-    a fifth of taking it; waiting for a future that nobody completes does neither.
+    The EventsExecutor looks at the time only when nothing waits: while messages come faster than they are handled
+    ``ended`` alone ends it.
+
+    Its spin() never sleeps without a timeout, and spin_once() returns after each message, which costs a fifth of taking
+    it; waiting for a future does neither.
     """
-    executor.spin_until_future_complete(Future(), timeout_sec=seconds)
+    executor.spin_until_future_complete(ended, timeout_sec=seconds)
 
 
 def steady_timer(node: Node, period_s: float, callback: Callable[[], None]) -> Timer:
@@ -220,7 +223,7 @@ class RosProcess:
         self._stop = stop
         self._node: Node | None = None
         self._thread: threading.Thread | None = None
-        self._closing = False
+        self._closing = Future()
         self._signals = StopSignals(stop)
         self.error: Exception | None = None
 
@@ -238,8 +241,8 @@ class RosProcess:
 
     def _spin(self, executor: Executor) -> None:
         try:
-            while ok() and not self._closing:
-                spin_for(executor, SPIN_S)
+            while ok() and not self._closing.done():
+                spin_for(executor, SPIN_S, self._closing)
         except Exception as error:  # raised by a callback: told by whoever runs the tool, not by this thread
             self.error = error
             self._stop()
@@ -248,7 +251,7 @@ class RosProcess:
 
     def stop_spinning(self) -> None:
         """Stop serving callbacks; what arrives stays with the subscriptions."""
-        self._closing = True
+        self._closing.set_result(None)
         if self._thread is not None:
             self._thread.join()
 

@@ -3,6 +3,7 @@
 import subprocess
 import sys
 import threading
+import time
 
 import pytest
 import rclpy
@@ -33,6 +34,23 @@ def test_a_function_runs_in_the_executors_thread_and_what_it_raises_comes_back(r
         assert call_in_executor(node, thread_name) == 'executor'
         assert ros.error is None
     assert not rclpy.ok()
+
+
+def test_spinning_stops_while_more_comes_than_is_handled(ros_domain):
+    with RosProcess([], lambda: None) as ros:
+        node, begun = Node('busy'), threading.Event()
+        end = time.monotonic() + PATIENCE_S / 10
+
+        def again() -> None:
+            begun.set()
+            if time.monotonic() < end:
+                node.executor.create_task(again)
+
+        ros.spin(node)
+        node.executor.create_task(again)
+        assert begun.wait(PATIENCE_S)
+        ros.stop_spinning()
+        assert time.monotonic() < end
 
 
 def test_a_node_whose_construction_fails_is_gone_before_rclpy_is_shut_down(ros_domain):

@@ -10,6 +10,7 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from semiparam_ros.settings import dump_params
@@ -178,6 +179,25 @@ def test_ctrl_c_ends_the_node_and_its_processes(tmp_path, ros_domain, pauses):
                 group.send()
         assert group.code() in (ENDED if pauses else (0,)), group.output
         assert 'Traceback' not in group.output
+
+
+def test_ctrl_c_ends_a_node_that_is_given_more_than_it_answers(tmp_path, ros_domain):
+    """What waits then is left: it would be answered for many seconds."""
+    slow = {'horizon_length': 1000, 'features_count': 600, 'initial_samples': 20, 'checkpoint_period': 60.0}
+    with run_node(tmp_path, **slow) as group, Client() as client:
+        client.offer('joint_states', 'joint_accelerations', 'wrench')
+        client.connect()
+        samples = motion(3000)
+        client.play(samples[:50], SETTINGS.joints)
+        client.take_over()
+        for sample in samples[50:]:
+            client.state(sample, SETTINGS.joints)
+            client.accelerations(sample, SETTINGS.joints)
+            client.wrench(sample)
+        group.send()
+        assert group.code() == 0, group.output
+    with np.load(tmp_path / 'estimator.checkpoint.npz') as checkpoint:
+        assert 50 <= len(checkpoint['history.stamps']) < len(samples)
 
 
 @pytest.mark.parametrize('loaded', ['_yaml', '_rclpy', 'libllvmlite'])

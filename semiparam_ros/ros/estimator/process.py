@@ -13,6 +13,7 @@ from pathlib import Path
 
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.task import Future
 from rclpy.utilities import ok, try_shutdown
 
 from semiparam_ros.effects import kinds
@@ -49,11 +50,12 @@ def take_priority(priority: int) -> str:
 def run_estimator(ros_arguments: Sequence[str]) -> int:
     """Run the node until a signal ends it; raises SemiparamError when it cannot start."""
     worker = forked_worker()  # before the first thread
-    with StopSignals() as stop:
-        return _run(ros_arguments, stop, worker)
+    ended = Future()
+    with StopSignals(partial(ended.set_result, None)):
+        return _run(ros_arguments, ended, worker)
 
 
-def _run(ros_arguments: Sequence[str], stop: StopSignals, worker: Worker) -> int:
+def _run(ros_arguments: Sequence[str], ended: Future, worker: Worker) -> int:
     start_rclpy(ros_arguments)
     sys.setswitchinterval(SWITCH_S)
     try:
@@ -70,9 +72,9 @@ def _run(ros_arguments: Sequence[str], stop: StopSignals, worker: Worker) -> int
                 kinds(node.settings.outputs)
             gc.collect()
             gc.freeze()  # what is loaded now stays for good: it is not looked at while samples come
-            while ok() and not stop.asked:
+            while ok() and not ended.done():
                 try:
-                    spin_for(executor, SPIN_S)
+                    spin_for(executor, SPIN_S, ended)
                 except Exception as error:  # of a callback that does not handle its own
                     node.failed('a callback', error)
         finally:
