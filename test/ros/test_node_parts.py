@@ -300,7 +300,7 @@ def test_a_reset_tells_of_a_new_window_where_there_is_one(given):
         settings = replace(settings, hyperparameters_gamma=(1.0,), hyperparameters_sigma=(0.1,),
                            hyperparameters_output_scale=(1.0,) * 6)
     requests, stage = Services.__new__(Services), Stage(settings)
-    requests._learner = lambda: stage.learner
+    requests._learner, requests._forgotten = lambda: stage.learner, lambda: None
     told = requests.reset()
     assert ('a new initial window of 60 samples' in told) == (not given) == (not stage.learner.estimator.ready)
 
@@ -376,6 +376,24 @@ def test_who_waits_for_a_model_that_is_built_no_more_is_told_so(then, told, monk
     assert (sent[0].result.successful, sent[0].result.reason) == (True, told)
 
 
+def test_who_waits_for_a_model_when_a_state_is_loaded_that_asks_for_another_is_told_so(tmp_path):
+    """He heard after a second that his was being built, or that the other one takes over."""
+    stage = Stage(replace(SETTINGS, variant='P'))
+    stage.offer_and_build(motion(200))
+    stage.learner.change(replace(SETTINGS, variant='SPK-ML'))
+    asking, told = stage.learner.state(), []
+    stage.learner.change(replace(SETTINGS, variant='NP-ML'))
+    services = Services.__new__(Services)
+    services._learner, services._folder, services._closed = lambda: stage.learner, tmp_path, False
+    services._parameters = SimpleNamespace(settings=SETTINGS, write=lambda settings: None)
+    services._forgotten = lambda: told.append(stage.learner.settings.variant)
+    services._aside = lambda name, work, then, reply: reply(then(asking))
+    services.load_state(told.append)
+    assert told[0] == 'SPK-ML' and 'the SPK-ML that was being built is built anew' in told[1]
+    services.reset()
+    assert told[2:] == ['SPK-ML']
+
+
 def test_who_waits_for_a_service_is_answered_when_the_node_ends(tmp_path, monkeypatch):
     """What the executor had not come to was lost with it: a state was written, and nobody heard of it."""
     learner, known, sent = Stage(replace(SETTINGS, variant='P')).learner, {}, []
@@ -388,7 +406,7 @@ def test_who_waits_for_a_service_is_answered_when_the_node_ends(tmp_path, monkey
     node = SimpleNamespace(create_service=create_service, get_logger=lambda: get_logger('services'),
                            get_fully_qualified_name=lambda: '/arm')
     requests = Services(node, SimpleNamespace(settings=SETTINGS), lambda: learner, lambda: URDF, DelayedBackground(),
-                        tmp_path, SimpleNamespace(take=lambda: None), lambda *_: None, None)
+                        tmp_path, SimpleNamespace(take=lambda: None), lambda *_: None, None, lambda: None)
     for name in ('~/save_state', '~/export_model', '~/load_state'):
         known[name].send_response(known[name].call(None, None), None)
     requests.close()

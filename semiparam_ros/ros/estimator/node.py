@@ -102,7 +102,7 @@ class EstimatorNode(AnsweringNode, LearnerListener):
         lock = FolderLock(folder_of(settings), self.get_fully_qualified_name())
         self._requests = Services(self, self._live, self._the_learner,
                                   lambda: self._robot.description, self._background,
-                                  folder_of(settings), lock, guarded, self.errors)
+                                  folder_of(settings), lock, guarded, self.errors, self._held_replies.forget)
         self._diagnosing = Diagnosing(self, self._live, self._the_learner, guarded, self.errors)
         self._changing = Changing(self, lambda: self.learner, folder_of(settings), lock, self._reports.say, guarded,
                                   lambda place, error: self._report(error, place))

@@ -67,6 +67,10 @@ class HeldReplies:
         """Another model is asked for: the one that is waited for is built no more."""
         self.settle(True, OVERTAKEN)
 
+    def forget(self) -> None:
+        """What is waited for is built no more: all is forgotten, or a state is loaded."""
+        self.settle(True, FORGOTTEN)
+
     def release(self) -> None:
         """Send what waits as it is."""
         held, self._held = self._held, None
@@ -97,7 +101,7 @@ class HeldReplies:
         if self._announcement():
             self.release()
         else:
-            self.settle(True, FORGOTTEN)
+            self.forget()
 
 
 def results_of(response: Response) -> Iterator[SetParametersResult]:

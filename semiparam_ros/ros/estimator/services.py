@@ -137,14 +137,15 @@ class Services:
     :param folder: where states lie. :param lock: the right to write there.
     :param schedule: see :data:`Scheduler`.
     :param errors: counts what goes wrong unexpectedly.
+    :param forgotten: called when the models that were being built are built no more.
     """
 
     def __init__(self, node: Node, parameters: Parameters, learner: Callable[[], Learner],
                  description: Callable[[], str], background: Background, folder: Path,
-                 lock: FolderLock, schedule: Scheduler, errors: InternalErrors) -> None:
+                 lock: FolderLock, schedule: Scheduler, errors: InternalErrors, forgotten: Callable[[], None]) -> None:
         self._node, self._parameters, self._learner, self._schedule = node, parameters, learner, schedule
         self._description, self._background = description, background
-        self._folder, self._lock, self._errors = folder, lock, errors
+        self._folder, self._lock, self._errors, self._forgotten = folder, lock, errors, forgotten
         self._files, self._closed = FileThread('states'), False
         self._done: deque[Callable[[], None]] = deque()
         """What follows work in the thread for files, in its order."""
@@ -168,6 +169,7 @@ class Services:
         """Forget everything learnt."""
         learner = self._learner()
         learner.reset()
+        self._forgotten()
         if learner.estimator.ready:
             return 'all is forgotten; learning begins anew, with the hyperparameters that were given.'
         return f'all is forgotten; a new initial window of {learner.built.initial_samples} samples of motion begins.'
@@ -201,6 +203,7 @@ class Services:
             saved = saved.adopted_by(self._parameters.settings)
             current.restore(saved)
             self._parameters.write(current.settings)
+            self._forgotten()
             return f'{path} is loaded: {saved.sentence}.'
 
         self._aside('~/load_state', partial(state_file.load, path, settings, learner.body), loaded, reply)
