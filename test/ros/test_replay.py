@@ -179,10 +179,12 @@ def test_who_subscribes_with_another_type_is_told(tmp_path):
 @pytest.mark.parametrize('named_at', [1.0, None])
 def test_a_subscriber_is_waited_for_until_it_has_a_name(named_at):
     """A sentence about it named a number of DDS; who is not of ROS has no name, and is waited for no longer."""
-    now, info = 0.0, TopicEndpointInfo(node_name='_NODE_NAME_UNKNOWN_', node_namespace='_NODE_NAMESPACE_UNKNOWN_')
+    now, info = 0.0, TopicEndpointInfo(
+        node_name='_NODE_NAME_UNKNOWN_', node_namespace='_NODE_NAMESPACE_UNKNOWN_', topic_type=WRENCH)
     publisher = SimpleNamespace(topic_name='/wrench', get_subscription_count=lambda: 1)
-    check = SubscriberCheck(SimpleNamespace(outputs={'/wrench': publisher}, offers={'/wrench': Qos()},
-                                            get_subscriptions_info_by_topic=lambda _: [info]), 1)
+    check = SubscriberCheck(SimpleNamespace(
+        outputs={'/wrench': publisher}, offers={'/wrench': Qos()}, types={'/wrench': WRENCH},
+        get_subscriptions_info_by_topic=lambda _: [info]), 1)
     with patch('time.monotonic', lambda: now):
         while not check():
             now += 0.1
