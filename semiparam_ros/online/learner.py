@@ -205,16 +205,11 @@ class Learner:
     def offer(self, sample: Sample) -> None:
         """Answer a sample, then learn it."""
         self._go_on_from_state(sample.stamp)
-        if self.tare.active:
-            sample = sample._replace(outputs=sample.outputs - self.tare.bias)
-        measured = sample.outputs
-        self.tools.shaped_by(self.estimator.columns.effects)
-        self.changes.applied.shaped_by(self.estimator.columns.effects)
-        sample, of_tools = self.tools.taken_off(sample, self.estimator.remembered(sample.stamp))
-        sample, of_changes = self.changes.applied.taken_off(sample)
-        prediction = self._predict(sample, measured)
-        if prediction is None:
+        found = self._predict(sample)
+        if found is None:
             return
+        prediction, added = found
+        sample = prediction.sample
         changes, ahead = self.gate.changes, self.changes.applied.taken_ahead  # a hand may do what is ahead
         as_told = prediction._replace(sample=sample._replace(outputs=sample.outputs + ahead))
         contact = self.gate.judge(as_told, self.settings, self._renewal.unsettled)
@@ -231,7 +226,7 @@ class Learner:
         self.changes.follows = self.changes.follows if learning in (Learning.NO_NEWS, Learning.NO) else None
         self.changes.begins_to_hold &= learning != Learning.TAKEN_BACK
         followed = (prediction.mean - prediction.model_mean) * (not self.settings.gate_enabled) + ahead
-        answer = Answer(self._as_measured(prediction, of_tools, of_changes), sample.outputs - prediction.mean,
+        answer = Answer(self._as_measured(prediction, *added), sample.outputs - prediction.mean,
                         standardised_innovation(prediction), self._marked(learning), contact, self.gate.level,
                         *self.gate.places(), followed)
         self._emit(answer)  # before learning, which takes as long as predicting
@@ -299,10 +294,23 @@ class Learner:
         self.switcher.clear_pending()
         self.estimator.clear_pending()
 
-    def _predict(self, sample: Sample, measured: Array) -> Prediction | None:
-        """See :meth:`Estimator.predict`; None where the active model fails, but is not yet known to be broken."""
+    def _taken_off(self, sample: Sample) -> tuple[Sample, Array, list[Array | None]]:
+        """The sample as the model sees it; its outputs (n,) with tools and changes, and what each of these adds."""
+        if self.tare.active:
+            sample = sample._replace(outputs=sample.outputs - self.tare.bias)
+        measured = sample.outputs
+        self.tools.shaped_by(self.estimator.columns.effects)
+        self.changes.applied.shaped_by(self.estimator.columns.effects)
+        sample, of_tools = self.tools.taken_off(sample, self.estimator.remembered(sample.stamp))
+        sample, of_changes = self.changes.applied.taken_off(sample)
+        return sample, measured, [of_tools, of_changes]
+
+    def _predict(self, sample: Sample) -> tuple[Prediction, list[Array | None]] | None:
+        """See :meth:`Estimator.predict`, and what was taken off; None where the active model fails, but is not yet
+        known to be broken."""
+        seen, measured, added = self._taken_off(sample)
         try:
-            prediction = self.estimator.predict(sample, measured)
+            prediction = self.estimator.predict(seen, measured)
             if not (are_finite(prediction.mean) and are_finite(prediction.std)):
                 raise FloatingPointError('it predicts values that are not finite')
         except Exception as error:
@@ -313,9 +321,10 @@ class Learner:
                 self.lost += 1
                 return None
             self._fall_back(error)
-            return self.estimator.predict(sample, measured)
+            seen, measured, added = self._taken_off(sample)  # of what goes on, another bias may be known
+            return self.estimator.predict(seen, measured), added
         self._failures = 0
-        return prediction
+        return prediction, added
 
     def _observe(self, prediction: Prediction, learning: Learning) -> bool:
         """Tell whether the active model has taken it in; it is broken where it has not."""

@@ -439,6 +439,23 @@ def test_a_broken_model_is_replaced_by_the_last_checkpoint():
     np.testing.assert_allclose(stage.means[200:], expected[150:], atol=1e-10)
 
 
+def test_the_sample_on_which_a_model_breaks_is_answered_with_the_bias_of_the_checkpoint():
+    """The bias of the model that broke was taken off it, and that of the checkpoint added."""
+    samples, kept = motion(130), []
+    stage = Stage(background=InlineBackground(), checkpoint=lambda: kept[-1])
+    stage.offer(samples[:110])
+    kept.append(pickle.loads(pickle.dumps(stage.learner.state())))
+    stage.learner.tare.bias = np.full(6, 50.0)
+    stage.learner.takes_off_otherwise()
+    break_down(stage.learner.estimator, 'not finite')
+    stage.offer(samples[110:])
+    assert 'SPK-ML of the last checkpoint goes on' in stage.news[-1] and not stage.learner.tare.active
+    shown = [answer.residual + answer.prediction.mean for answer in stage.answers[110:]]
+    np.testing.assert_allclose(shown, [sample.outputs for sample in samples[110:]], atol=1e-10)
+    kept_outputs = stage.learner.history.batch().samples.outputs
+    np.testing.assert_array_equal(kept_outputs, [sample.outputs for sample in samples])
+
+
 def test_a_sample_that_cannot_be_learnt_ends_nothing(monkeypatch):
     samples, stage = motion(200), Stage(background=InlineBackground())
     stage.offer(samples[:100])
