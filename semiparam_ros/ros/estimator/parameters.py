@@ -68,7 +68,7 @@ class HeldReplies:
         self.settle(True, OVERTAKEN)
 
     def forget(self) -> None:
-        """What is waited for is built no more: all is forgotten, or a state is loaded."""
+        """Nothing that is waited for is built any more: all is forgotten, or a state is loaded."""
         self.settle(True, FORGOTTEN)
 
     def release(self) -> None:
