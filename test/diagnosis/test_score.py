@@ -258,5 +258,5 @@ def test_no_kind_is_shut_out_of_the_score_by_places_of_another_one(monkeypatch):
               for number in range(DEFAULTS.tried + 2)]
     crosstalk = Trial(kinds('wrench')['sensor_crosstalk'](), 30, np.zeros(0), evidence=80.0)
     hopeless = Trial(kinds('wrench')['sensor_gain'](), 6, np.zeros(0), evidence=-1.0)
-    tried = moves.single_moves(SimpleNamespace(config=DEFAULTS), [*cables, crosstalk, hopeless])
+    tried = moves.single_moves(SimpleNamespace(config=DEFAULTS, effects=()), [*cables, crosstalk, hopeless])
     assert tried == [trial.effect for trial in (*cables[:DEFAULTS.tried], crosstalk)]
