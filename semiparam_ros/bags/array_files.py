@@ -123,8 +123,7 @@ def _is_numeric(values: Any) -> bool:
 
 def _columns(arrays: Mapping[str, Any], where: str, asked: Iterable[str]) -> dict[str, np.ndarray[Any, Any]]:
     """Columns (N,) by name. Samples run along the longer side that most arrays share, of those that are asked for."""
-    numeric = {name: np.atleast_1d(np.squeeze(values)) for name, values in arrays.items()
-               if _is_numeric(values)}
+    numeric = {name: np.atleast_1d(np.squeeze(values)) for name, values in arrays.items() if _is_numeric(values)}
     numeric = {name: values.astype(float) if values.dtype.itemsize > 8 else values for name, values in numeric.items()
                if values.ndim <= 2 and values.size > 1}
     wanted = {name for column in asked for name in (column, column.rpartition(':')[0])} & numeric.keys()

@@ -249,6 +249,24 @@ def test_the_foremost_of_each_kind_with_many_values_are_refined():
     assert worth_refining(SimpleNamespace(config=DEFAULTS), [*plain, *unlikely]) == plain[:DEFAULTS.tried]
 
 
+def test_an_offset_is_no_move_beside_friction_that_includes_it(monkeypatch):
+    """Alone nor with those of other joints; one that begins later may be."""
+    monkeypatch.setattr(moves, 'declare', lambda fit, effects: SimpleNamespace(effects=effects))
+    monkeypatch.setattr(moves, 'without_impossible', lambda after: after)
+    monkeypatch.setattr(moves, 'pruned', lambda after, known: after)
+    monkeypatch.setattr(moves, 'prices', lambda added, fit: 0.0)
+    monkeypatch.setattr(moves.Move, 'of', lambda added, *_: added)
+    monkeypatch.setattr(moves, '_plausible_moves', lambda fit, after, added: after.effects)
+    one, *others = (KINDS['effort_offset'](joint) for joint in BODY.joints)
+    later = replace(one, span=Span(5.0))
+    monkeypatch.setattr(moves, '_at_each_time', lambda fit, effect: [effect, later] if effect == one else [effect])
+    fit = SimpleNamespace(config=DEFAULTS, body=BODY, considered=KINDS,
+                          effects=(KINDS['asymmetric_friction'](one.where),))
+    offsets = [Trial(effect, 1, np.zeros(0), evidence=50.0) for effect in (one, *others)]
+    assert moves.single_moves(fit, offsets) == [later, *others]
+    assert moves.group_moves(fit, offsets) == [tuple(others)]
+
+
 def test_no_kind_is_shut_out_of_the_score_by_places_of_another_one(monkeypatch):
     """Crosstalk of a measured iCub stood tenth behind three cables, and three other effects were told in its place."""
     monkeypatch.setattr(moves, '_at_each_time', lambda fit, effect: [effect])
